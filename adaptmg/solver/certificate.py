@@ -291,8 +291,9 @@ class Evidence:
     ) -> None:
         """Measure a displacement (n_nodes, dim), m; ``residual`` (n_dofs,): f - A w, N, if it is
         known."""
-        self.u = displacement.reshape(problem.n_nodes, problem.dim)
-        if problem.dim == 1:  # of two obstacles the nearest
+        self.u = displacement.reshape(problem.n_nodes, problem.dim)  # of the bodies
+        if problem.dim == 1:
+            # of two obstacles the conditions are those of the nearest
             moved = self.u[problem.contact.nodes]
             problem = problem.posing(contact=problem.contact.facing(moved))
         self.problem = problem
@@ -301,11 +302,12 @@ class Evidence:
         self.nodes = problem.contact.nodes
         self.normals = problem.contact.normals
         self.fixed = problem.fixed.reshape(self.u.shape)
-        self.unknowns = problem.relative(self.u)
+        self.unknowns = problem.relative(self.u)  # w, between bodies relative
         load = problem.load - problem.volumes.forces(pressures)
         if residual is None:
             residual = load - problem.matrix @ self.unknowns.reshape(-1)
         self.residual = residual
+        # w'Aw = w . (f - r); where bodies expand freely only the stresses have energy
         energy = _sum(self.unknowns, load - residual) + problem.volumes.energy(pressures)
         self.energy = float(
             np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0)))
@@ -335,11 +337,19 @@ class Evidence:
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
 
     def _subtract_claims(self) -> None:
-        """Compute the forces (n_nodes, dim) that neither loads nor ties nor claimed contact forces
-        explain: at free dofs they must vanish, at fixed dofs supports carry them."""
+        """Compute the forces that neither loads nor ties nor claimed contact forces explain.
+
+        ===========  ========================  =====================================================
+        attribute    shape, coordinates        forces
+        ===========  ========================  =====================================================
+        tying        (n_dofs,), relative       A u - b at tied dofs: a tie holds with what it needs
+        unexplained  (n_nodes, dim), bodies    other A u - b, minus the claims on slaves and masters
+        at_contact   (n_contact, dim), bodies  unexplained at contact nodes
+        in_supports  (n_fixed,), bodies        unexplained at fixed dofs, which supports carry
+        left         (n_nodes, dim), bodies    unexplained along what is free: it must vanish
+        ===========  ========================  =====================================================
+        """
         problem = self.problem
-        # r = A u - b is minus the residual. A tie holds with whatever force it needs, and its
-        # counterpart on the master is not a violation
         self.tying = np.zeros(problem.n_dofs)
         tied = problem.fixed & ~problem.held
         self.tying[tied] = -self.residual[tied]
@@ -411,10 +421,12 @@ class Evidence:
         return problem.contact.gaps - u_n, slip
 
     def _with_surface_layer(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return gaps (n,) with the compression e p^(1/m) of the surfaces added, and the derivative
-        (n,) of the compression by the pressure p. Where a surface is softer than its node, both are
-        linearised at the pressure that compresses it to the given gap, since there a change of p by
-        rounding moves the surface far."""
+        """Return the gaps (n,) of surfaces that give way, gap(p) = g + e p^(1/m) at the pressures p, and
+        the derivatives (n,) of gap(p).
+
+        Where a surface is softer than its node, gap'(p) d > 1 with the stiffness d, a change of p by
+        rounding moves it far. There both come from the tangent at the pressure q that closes the gap,
+        gap(q) = 0: they are gap'(q) (p - q) and gap'(q)."""
         scale = self.problem.contact.compliance
         exponent = self.problem.contact.exponent
         pressure = np.maximum(self.pressure, 0.0)
@@ -424,19 +436,20 @@ class Evidence:
             # of e p^(1/m): e p^(1/m - 1) / m
             return scale * np.maximum(force, least) ** (1 / exponent - 1) / exponent
 
-        # soft surfaces: p = (depth / e)^m compresses the surface to the gap
         depth = np.maximum(-gap, 0.0)
         soft = (derivative(pressure) * self.stiffness > 1) & (depth > 0)
-        required = np.divide(depth, scale, out=np.zeros_like(depth), where=soft) ** exponent
-        slope = derivative(np.where(soft, required, pressure))
+        # q = (-g / e)^m
+        closing = np.divide(depth, scale, out=np.zeros_like(depth), where=soft) ** exponent
+        slope = derivative(np.where(soft, closing, pressure))
         compressed = gap + scale * pressure ** (1 / exponent)
-        return np.where(soft, slope * (pressure - required), compressed), slope
+        return np.where(soft, slope * (pressure - closing), compressed), slope
 
     @property
-    def beyond(self) -> np.ndarray:
-        """Return the gaps (n,), m, negative where a node penetrates. In front of surfaces that yield by a
-        power of the force a gap is replaced by the length of the force that closes it, if that is
-        shorter."""
+    def scaled_gap(self) -> np.ndarray:
+        """Return the gaps g (n,), m, negative where a node penetrates; in front of surfaces that yield by
+        a power of the force g / max(1, F e / l), with the derivative e of the compression, the scale F
+        of forces and the scale l of lengths. The force g / e closes the gap: where it is small next to
+        F, so is the violation."""
         length = self.length or 1.0
         share = length / np.maximum(length, self.force * self.compliance)
         return np.where(self.problem.contact.exponent > 1, share * self.gap, self.gap)
@@ -448,8 +461,8 @@ class Evidence:
             largest=float(np.abs(forces).max(initial=0.0)),
             total=total,
             unit="N",
-            relative=_over(total, self.force),
-            rounding=_over(self.rounding, self.force),
+            relative=ratio(total, self.force),
+            rounding=ratio(self.rounding, self.force),
         )
 
     def _lengths(self, name: str, lengths: np.ndarray) -> Condition:
@@ -459,14 +472,14 @@ class Evidence:
             largest=largest,
             total=float(np.linalg.norm(lengths)),
             unit="m",
-            relative=_over(largest, self.length),
+            relative=ratio(largest, self.length),
             rounding=16 * _EPSILON,
         )
 
     def _works(self, name: str, works: np.ndarray, scale: float) -> Condition:
         total = float(works.sum())
         # a work is a force times a length: the rounding of both
-        rounding = _over(self.rounding, self.force) + 16 * _EPSILON
+        rounding = ratio(self.rounding, self.force) + 16 * _EPSILON
         # a scale that cannot vanish: bodies may part, or slip without friction
         scale = max(scale, self.force) * self.length
         return Condition(
@@ -474,7 +487,7 @@ class Evidence:
             largest=float(works.max(initial=0.0)),
             total=total,
             unit="N m",
-            relative=_over(total, scale),
+            relative=ratio(total, scale),
             rounding=rounding,
         )
 
@@ -498,9 +511,11 @@ class Evidence:
 
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Return penetration, tension, complementarity."""
-        gap = self.beyond
-        # the part along n of the force that the claims do not explain, less p: tension if positive
-        pulling = np.einsum("nd,nd->n", self.at_contact, self.normals) - self.pressure
+        gap = self.scaled_gap
+        # the contact force along n that equilibrium requires, claimed and unexplained; the claimed one
+        # is -p
+        required = np.einsum("nd,nd->n", self.at_contact, self.normals) - self.pressure
+        tension = np.maximum(np.maximum(required, -self.pressure), 0.0)
         # each in its scale: a rounding force times a gap of a thousand displacements is no violation
         both = np.maximum(
             np.minimum(self.pressure / (self.force or 1.0), gap / (self.length or 1.0)), 0.0
@@ -511,11 +526,11 @@ class Evidence:
             total=_norm(both),
             unit="",
             relative=_norm(both),
-            rounding=_over(self.rounding, self.force) + 16 * _EPSILON,
+            rounding=ratio(self.rounding, self.force) + 16 * _EPSILON,
         )
         return (
             self._lengths("penetration", np.maximum(-gap, 0.0)),
-            self._forces("tension", np.maximum(np.maximum(pulling, -self.pressure), 0.0)),
+            self._forces("tension", tension),
             complementarity,
         )
 
@@ -523,16 +538,17 @@ class Evidence:
         """Return friction beyond its bound, and not opposite to the slip."""
         size = np.linalg.norm(self.friction, axis=1)
         slip = np.linalg.norm(self.slip, axis=1)
-        along = np.einsum("nd,nd->n", self.friction, self.slip)
+        work = np.einsum("nd,nd->n", self.friction, self.slip)
         excess = np.maximum(size - self.bound, 0.0)
         # (s + mu p) |tau| + f_t . tau
-        works = np.maximum(self.bound * slip + along, 0.0)
-        # a force times a length over the largest force: open nodes slip freely, and the direction of
-        # their rounding forces means nothing
-        same_way = np.maximum(along - self.rounding * slip * self.idle, 0.0) / (self.force or 1.0)
+        short_of_bound = np.maximum(self.bound * slip + work, 0.0)
+        if self.idle:  # the force may be rounding, whose direction means nothing
+            work = work - self.rounding * slip
+        # a work over the largest force, not over that of the node: open nodes slip freely
+        same_way = np.maximum(work, 0.0) / (self.force or 1.0)
         return (
             self._forces("friction bound", excess),
-            self._works("slip direction", works, self.bound.sum()),
+            self._works("slip direction", short_of_bound, self.bound.sum()),
             self._lengths("slip along the force", same_way),
         )
 
@@ -545,7 +561,7 @@ class Evidence:
                 "open, touching", np.where(state == _OPEN, np.maximum(self.pressure, 0.0), 0.0)
             ),
             self._lengths(
-                "touching, open", np.where(state != _OPEN, np.maximum(self.beyond, 0.0), 0.0)
+                "touching, open", np.where(state != _OPEN, np.maximum(self.scaled_gap, 0.0), 0.0)
             ),
             self._lengths("slip, sticking", np.where(state == _STICK, slip, 0.0)),
         )
@@ -562,8 +578,8 @@ class Evidence:
             largest=float(np.abs(sums).max()),
             total=total,
             unit="N",
-            relative=_over(total, self.total),
-            rounding=_over(rounding, self.total),
+            relative=ratio(total, self.total),
+            rounding=ratio(rounding, self.total),
         )
 
     def energy_error(self, aggregates: Aggregates | None, rtol: float = 0.0) -> tuple[float, float]:
@@ -582,14 +598,14 @@ class Evidence:
         balanced = _norm(self.left) <= self.rounding
         if aggregates is not None and balanced and rtol * self.energy < error < self.energy:
             rounding = max(rounding, self._attainable(conditions, aggregates))
-        return _over(error, self.energy), _over(rounding, self.energy)
+        return ratio(error, self.energy), ratio(rounding, self.energy)
 
     def _attainable(self, conditions: ContactValues, aggregates: Aggregates) -> float:
         """Return the energy error that rounding of the residual leaves: the largest one that residuals
         of the size of rounding and of random signs cause with the contact status held. On slender
         bodies it is large, as the condition of the matrix."""
         matrix = self.problem.matrix
-        status = self._frozen(conditions, self.unknowns)[0]
+        status = self._nearest_status(conditions, self.unknowns).status
         squares = sparse.bsr_array((matrix.data**2, matrix.indices, matrix.indptr))
         # (n_dofs,): the root of the sum of squares of the terms of a row, times the unit of rounding
         sizes = _EPSILON * np.sqrt(squares @ self.unknowns.reshape(-1) ** 2)
@@ -617,50 +633,52 @@ class Evidence:
         aggregates: Aggregates | None,
         negligible: float = 0.0,
     ) -> tuple[float, bool]:
-        """Return a bound of ||u - u_h||_A for ``unknowns`` (n_nodes, dim) with the contact status held,
-        infinite where it leaves a loaded motion free, and whether the corrected displacement
-        contradicts this status: an open node penetrates, or a closed one pulls. ``forces`` (n_nodes,
-        dim) are the unexplained ones."""
-        contact = self.problem.contact
-        matrix = self.problem.matrix
-        status, change, lawful, closed = self._frozen(conditions, unknowns)
-        images = _image(matrix, change)
-        # ||z||_A of the change z that meets the status, and e, what is unexplained at v = u + z with
-        # the lawful contact forces in place of the claimed ones
-        moved = np.sqrt(max(_sum(change, images), 0.0))
-        forces = forces + images
-        forces[contact.nodes] += conditions.forces(contact.normals) - lawful
-        exerted = forces[contact.nodes] + lawful
-        missed = self.problem.volumes.missed((unknowns + change).reshape(-1), self.pressures)
+        """Return a bound of ||u - u_h||_A for ``unknowns`` u (n_nodes, dim) with the contact status held,
+        infinite where it leaves a loaded motion free; and whether the corrected displacement contradicts
+        this status. ``forces`` (n_nodes, dim) are the unexplained ones. Symbols are those of
+        :mod:`adaptmg.solver.energy_error`."""
+        nodes = self.problem.contact.nodes
+        normals = self.problem.contact.normals
+        nearest = self._nearest_status(conditions, unknowns)
+        z = nearest.z
+        image = _image(self.problem.matrix, z)  # A z
+        size_of_z = np.sqrt(max(_sum(z, image), 0.0))
+        # e, what is unexplained at v = u + z with the lawful contact forces in place of the claimed ones
+        e = forces + image
+        e[nodes] += conditions.forces(normals) - nearest.lawful
+        contact_forces = e[nodes] + nearest.lawful
+        missed = self.problem.volumes.missed((unknowns + z).reshape(-1), self.pressures)
         corrected = correction(
             self.problem,
-            status,
-            residual=forces,
+            nearest.status,
+            residual=e,  # overwritten
             missed=missed,
             aggregates=aggregates,
             negligible=negligible,
             rounding=self.rounding,
         )
         # gaps and pressures after the correction
-        gap = conditions.gap - _along(change[contact.nodes] - corrected.moved, contact.normals)
-        pressure = -_along(exerted - corrected.forces, contact.normals)
+        gap = conditions.gap - _along(z[nodes] - corrected.moved, normals)
+        pressure = -_along(contact_forces - corrected.forces, normals)
         least_gap = -_WRONG * np.linalg.norm(corrected.moved, axis=1).max(initial=0.0)
         largest_pressure = max(pressure.max(initial=0.0), conditions.pressure.max(initial=0.0))
-        least_pressure = -_WRONG * largest_pressure
-        contradicts = np.where(closed, pressure < least_pressure, gap < least_gap).any()
+        # a closed node pulls, or an open one penetrates
+        pulls = pressure < -_WRONG * largest_pressure
+        contradicts = np.where(nearest.closed, pulls, gap < least_gap).any()
         wrong = bool(contradicts) or not np.isfinite(corrected.energy)
         # ||u - u_h||_A <= ||z||_A + ||v - u_h||_A
-        return float(moved + np.sqrt(corrected.energy)), wrong
+        return float(size_of_z + np.sqrt(corrected.energy)), wrong
 
     def _with_changed_status(
         self, conditions: ContactValues, held: float, aggregates: Aggregates
     ) -> float:
-        """Return the energy error where the contact status may change: the energy of a change in the
-        span of the aggregates, with the error that is left after it while the new status is held.
-        ``held`` is the error with the present status held."""
+        """Return the energy error where the contact status may change: the size of a change in the span
+        of the aggregates, with the error that is left after it while the new status is held. What is
+        left is orthogonal in the energy to the change, a Galerkin solution. ``held`` is the error with
+        the present status held."""
         problem = self.problem
-        contact = self.problem.contact
-        matrix = self.problem.matrix
+        contact = problem.contact
+        normals = contact.normals
         residual = problem.residual(np.append(self.unknowns, self.pressures))
         solution = change_with_free_status(
             problem,
@@ -673,103 +691,106 @@ class Evidence:
         )
         if solution is None:
             return held
-        change, exerted = solution
-        images = matrix @ change
-        change_size = np.sqrt(max(_sum(change, images), 0.0))
-        nodal = change.reshape(self.u.shape)
-        moved = nodal[contact.nodes]
-        normals = contact.normals
+        change, contact_forces = solution
+        image = problem.matrix @ change
+        change_size = np.sqrt(max(_sum(change, image), 0.0))
+        change = change.reshape(self.u.shape)
+        moved = change[contact.nodes]
         approach = _along(moved, normals)
-        pressure = -_along(exerted, normals)
+        pressure = -_along(contact_forces, normals)
         # e times the change of the pressure: the surface gives way
         yielding = self.compliance * (
             np.maximum(pressure, 0.0) - np.maximum(conditions.pressure, 0.0)
         )
         changed_conditions = ContactValues(
-            conditions.gap - approach + yielding,
-            conditions.slip + moved - approach[:, None] * normals,
-            pressure,
-            exerted + pressure[:, None] * normals,
+            gap=conditions.gap - approach + yielding,
+            slip=conditions.slip + moved - approach[:, None] * normals,
+            pressure=pressure,
+            friction=contact_forces + pressure[:, None] * normals,
         )
-        forces = (images - residual).reshape(self.u.shape)
-        forces[contact.nodes] -= exerted
-        missing_after, _ = self._held(changed_conditions, self.unknowns + nodal, forces, aggregates)
-        changed = float(np.hypot(change_size, missing_after))
-        # an error after the change that is much larger than the change: the aggregates have not found
-        # the status, and the error is at most that with the status held, or the size of the change
-        return (
-            changed
-            if missing_after <= _FOUND * change_size
-            else min(changed, max(held, change_size))
+        # A (u + change) - b, without the contact forces
+        forces = (image - residual).reshape(self.u.shape)
+        forces[contact.nodes] -= contact_forces
+        left, _ = self._held(changed_conditions, self.unknowns + change, forces, aggregates)
+        changed = float(np.hypot(change_size, left))
+        if left <= _FOUND * change_size:
+            return changed
+        # the aggregates have not found the status: the error is at most that with the status held, or
+        # the size of the change
+        return min(changed, max(held, change_size))
+
+    def _closed(self, conditions: ContactValues) -> np.ndarray:
+        """Return which contact nodes touch (n_contact,) bool: those that penetrate, and those where, in
+        the measure of the stiffness d of the node, moving it onto the obstacle costs less than giving up
+        its pressure, d g^2 < p^2 / d. A small force closes the gap to a soft surface."""
+        d = self.stiffness
+        pressing = np.maximum(conditions.pressure, 0.0)
+        to_close = conditions.gap / (1 + self.compliance * d)
+        return (conditions.gap < 0) | (d * to_close**2 < pressing**2 / d)
+
+    def _nearest_status(self, conditions: ContactValues, unknowns: np.ndarray) -> _NearestStatus:
+        """Return the status that ``unknowns`` (n_nodes, dim) are nearest to, with the symbols of
+        :mod:`adaptmg.solver.energy_error`."""
+        problem = self.problem
+        dim = problem.dim
+        nodes = problem.contact.nodes
+        normals = problem.contact.normals
+        gap = conditions.gap
+        closed = self._closed(conditions)
+        on_spring = closed & (self.compliance * self.stiffness > _STIFF)
+        on_rigid = closed & ~on_spring
+        spring = np.divide(1.0, self.compliance, out=np.zeros_like(gap), where=on_spring)  # 1/e
+        pressing = np.maximum(conditions.pressure, 0.0)
+        bound = self.limit + np.where(closed, self.coefficient * pressing, 0.0)
+        # projections onto what supports leave free
+        free = np.eye(dim) - problem.held_spans(nodes)
+        claimed = np.einsum("nij,nj->ni", free, conditions.friction)
+        friction = self._nearest_friction(conditions.slip, claimed, bound, free)
+        # z moves touching nodes onto the obstacle and sticking nodes to zero slip, and fixed dofs to
+        # their prescribed values
+        z = np.zeros(unknowns.shape)
+        free_slip = np.einsum("nij,nj->ni", free, conditions.slip)
+        normal_change = np.where(on_rigid, gap, 0.0)[:, None] * normals
+        z[nodes] = normal_change - friction.without_slip[:, None] * free_slip
+        missed = problem.fixed_values - unknowns.reshape(-1)
+        z += (missed - problem.free_part(missed)).reshape(z.shape)
+        # K: tangents I - n n' of nodes that slide, normals n n' of nodes that touch nothing rigid
+        normal_parts = normals[:, :, None] * normals[:, None]
+        tangential_parts = np.eye(dim) - normal_parts
+        slides = friction.slides[:, None, None] * tangential_parts
+        lifts = ~on_rigid[:, None, None] * normal_parts
+        others, projections_of_others = self._held_elsewhere()
+        # S = (B/|tau|)(I - n n' - f f') of friction along f that turns with the slip (3D), n n'/e of
+        # springs; D = mu f n' where friction grows with the pressure
+        f = friction.direction
+        across = (tangential_parts - f[:, :, None] * f[:, None]) * (dim == 3)
+        growing = self.coefficient * (friction.slides & closed)
+        status = FrozenStatus(
+            held=np.append(nodes, others),
+            projections=np.concatenate([free @ (slides + lifts) @ free, projections_of_others]),
+            nodes=nodes,
+            stiffening=friction.turning[:, None, None] * across
+            + spring[:, None, None] * normal_parts,
+            dragged=growing[:, None, None] * f[:, :, None] * normals[:, None],
+        )
+        # a spring presses until its gap is closed: by -g/e more
+        pressure = np.where(closed, conditions.pressure, 0.0) - spring * gap
+        return _NearestStatus(
+            status=status,
+            z=z,
+            lawful=-pressure[:, None] * normals + friction.lawful,
+            closed=closed,
         )
 
-    def _frozen(
-        self, conditions: ContactValues, unknowns: np.ndarray
-    ) -> tuple[FrozenStatus, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the status that the displacement is nearest to, the change (n_nodes, dim) that
-        meets it, the lawful contact forces (n_contact, dim), and which contact nodes touch. A node
-        touches if moving it onto the obstacle costs less, in the measure of its stiffness, than
-        giving up its pressure."""
-        contact = self.problem.contact
-        dim = self.problem.dim
-        nodes = contact.nodes
-        normals = contact.normals
-        # projections onto what supports leave free
-        free = np.eye(dim) - self.problem.held_spans(nodes)
-        d = self.stiffness
-        gap = conditions.gap
-        pressing = np.maximum(conditions.pressure, 0.0)
-        # a small force closes the gap to a soft surface. A node touches where it penetrates, or where
-        # d gap^2, the cost of closing the gap, is less than p^2 / d, that of giving up the pressure
-        to_close = gap / (1 + self.compliance * d)
-        closed = (gap < 0) | (d * to_close**2 < pressing**2 / d)
-        on_spring = closed & (self.compliance * d > _STIFF)
-        on_rigid = closed & ~on_spring
-        spring = np.divide(1.0, self.compliance, out=np.zeros_like(gap), where=on_spring)
-        limit = self.limit + np.where(closed, self.coefficient * pressing, 0.0)
-        claimed = np.einsum("nij,nj->ni", free, conditions.friction)
-        friction = self._nearest_friction(conditions.slip, claimed, limit, free)
-        change = np.zeros(unknowns.shape)
-        # z: touching nodes onto the obstacle, sticking nodes to zero slip
-        normal_change = np.where(on_rigid, gap, 0.0)[:, None] * normals
-        free_slip = np.einsum("nij,nj->ni", free, conditions.slip)
-        change[nodes] = normal_change - friction.without_slip[:, None] * free_slip
-        # and fixed dofs to their prescribed values
-        missed = self.problem.fixed_values - unknowns.reshape(-1)
-        change += (missed - self.problem.free_part(missed)).reshape(change.shape)
-        # free directions: tangents of nodes that slide, normals of nodes that touch nothing rigid
-        along = normals[:, :, None] * normals[:, None]
-        tangents = np.eye(dim) - along
+    def _held_elsewhere(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the other nodes (m,) that supports or ties hold, and projections (m, dim, dim) onto
+        their free directions."""
         inclined = self.problem.inclined
-        held_elsewhere = np.setdiff1d(np.append(self.fixed.nonzero()[0], inclined.nodes), nodes)
-        projection = friction.slides[:, None, None] * tangents + ~on_rigid[:, None, None] * along
+        held = np.append(self.fixed.nonzero()[0], inclined.nodes)
+        nodes = np.setdiff1d(held, self.problem.contact.nodes)
         # a tied node, all of whose dofs are fixed, may be one of the inclined nodes
-        not_fixed = ~self.fixed[held_elsewhere][:, :, None] * np.eye(dim)
-        projection = np.concatenate(
-            [
-                free @ projection @ free,
-                not_fixed @ (np.eye(dim) - inclined.at(held_elsewhere)),
-            ]
-        )
-        # S: friction turns with the slip (3D), (B/|tau|) across it; D: friction grows with the
-        # pressure, mu along its direction
-        against = friction.direction
-        across = (tangents - against[:, :, None] * against[:, None]) * (dim == 3)
-        dragged = (
-            (self.coefficient * (friction.slides & closed))[:, None, None]
-            * against[:, :, None]
-            * normals[:, None]
-        )
-        # a spring presses in proportion to its penetration, which the gap of the surface misses
-        pressed = -(np.where(closed, conditions.pressure, 0.0) - spring * gap)[:, None] * normals
-        status = FrozenStatus(
-            held=np.append(nodes, held_elsewhere),
-            projections=projection,
-            nodes=nodes,
-            stiffening=friction.turning[:, None, None] * across + spring[:, None, None] * along,
-            dragged=dragged,
-        )
-        return status, change, pressed + friction.lawful, closed
+        not_fixed = ~self.fixed[nodes][:, :, None] * np.eye(self.problem.dim)
+        return nodes, not_fixed @ (np.eye(self.problem.dim) - inclined.at(nodes))
 
     def _nearest_friction(
         self, slip: np.ndarray, friction: np.ndarray, limit: np.ndarray, free: np.ndarray
@@ -801,6 +822,16 @@ class Evidence:
             lawful=lawful,
             turning=turning,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _NearestStatus:
+    """The contact status that a displacement u is nearest to."""
+
+    status: FrozenStatus
+    z: np.ndarray  # (n_nodes, dim): the change that meets the status, m
+    lawful: np.ndarray  # (n_contact, dim): the contact forces of the status at u, N
+    closed: np.ndarray  # (n_contact,) bool: which nodes touch
 
 
 @dataclass(frozen=True, eq=False)
@@ -841,9 +872,9 @@ def _along(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return np.einsum("nd,nd->n", vectors, normals)
 
 
-def _over(value: float, scale: float) -> float:
-    """Return a ratio: 0 for a zero value, 1 for another value over a zero scale."""
-    return 0.0 if value == 0.0 else float(value / scale) if scale else 1.0
+def ratio(value: float, scale: float) -> float:
+    """Return a value over a scale: 0 for a zero value, 1 for another value over a zero scale."""
+    return 0.0 if value == 0.0 else float(value / (scale or value))
 
 
 def _norm(vector: np.ndarray) -> float:

@@ -37,7 +37,7 @@ from adaptmg.smoother.system import (
     held_tangents,
     local_contact,
 )
-from adaptmg.solver.certificate import Certificate, ConditionsOnMesh, certify
+from adaptmg.solver.certificate import Certificate, ConditionsOnMesh, certify, ratio
 
 if TYPE_CHECKING:
     import pandas
@@ -321,7 +321,7 @@ class Examiner:
             floor = ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
             if size <= floor and self.sizes.nothing_strains(exerted, floor, unknowns):
                 return 0.0
-        return relative_to(self.sizes.forces(unknowns, exerted), size)
+        return ratio(size, self.sizes.forces(unknowns, exerted))
 
     def __call__(self, solution: np.ndarray, rtol: float = 0.0) -> Examined:
         """Examine a solution (n_unknowns,), between bodies in relative coordinates. The last answer is
@@ -511,11 +511,6 @@ def energy_norm(unknowns: np.ndarray, forces: np.ndarray) -> float:
 def euclidean_norm(vector: np.ndarray) -> float:
     """Return |v| of a flat vector, on one thread."""
     return energy_norm(vector, vector)
-
-
-def relative_to(scale: float, size: float) -> float:
-    """Return ``size`` over a ``scale``: 0 where the size is 0, and 1 where only the scale is 0."""
-    return 0.0 if size == 0.0 else size / (scale or size)
 
 
 def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> float:

@@ -22,14 +22,13 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.conditions import natural_residual
 from adaptmg.smoother.system import LocalProblem
-from adaptmg.solver.certificate import Certificate
+from adaptmg.solver.certificate import Certificate, ratio
 from adaptmg.solver.examine import (
     ROUNDING,
     Sizes,
     displacement_norm,
     energy_norm,
     euclidean_norm,
-    relative_to,
 )
 from adaptmg.solver.record import Run, Status
 
@@ -222,7 +221,7 @@ class StopTest:
         if state.idle and residual <= ROUNDING * state.floor:
             residual = 0.0
         # relative to the forces; without any, as before an interference is met, it is 1
-        self.residual = relative_to(state.forces, residual)
+        self.residual = ratio(residual, state.forces)
         self._last_residual = residual
         self._at_rounding = self.residual_is_rounding(state.floor)
         is_least = self._residual_within(self.ROUNDING_LEVEL * state.floor, self.BALANCED)
