@@ -141,6 +141,13 @@ def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
     )
 
 
+def unit_lattice(counts: tuple[int, ...]) -> MeshArrays:
+    """Return the mesh of cells of length 1, with a corner at the origin."""
+    names = ("width", "height") if len(counts) == 2 else ("width", "depth", "height")
+    domain = Rectangle if len(counts) == 2 else Box
+    return _lattice(domain(**dict(zip(names, counts, strict=True))), counts)
+
+
 def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
     """Return tetrahedra by the corners and centres of cells; ``counts`` are the cells along each
     axis."""
@@ -194,13 +201,13 @@ def _cells(counts: tuple[int, ...], places: np.ndarray, *, axis: int = -1) -> np
     sum of i_k stride_k of a cell with the place i_k along axis k."""
     axis %= len(counts)
     result = np.zeros(1, dtype=np.int32)
-    for k, (n, stride) in enumerate(zip(counts, _strides(counts), strict=True)):
+    for k, (n, stride) in enumerate(zip(counts, strides_of(counts), strict=True)):
         along = places if k == axis else np.arange(n)
         result = (along.astype(np.int32)[:, None] * stride + result).reshape(-1)
     return result
 
 
-def _strides(counts: tuple[int, ...]) -> np.ndarray:
+def strides_of(counts: Sequence[int]) -> np.ndarray:
     """Return how far apart neighbours along each axis are numbered."""
     return np.cumprod([1, *(n + 1 for n in counts[:-1])]).astype(np.int32)
 
@@ -212,7 +219,7 @@ def _boundary(
     order of the nodes. Those of the cell at node 0, cut into ``simplices``, are moved along the
     side."""
     dim = len(counts)
-    strides = _strides(counts)
+    strides = strides_of(counts)
     facets = []
     every = element_facets(simplices).reshape(-1, dim)
     for name in names:
@@ -256,7 +263,7 @@ def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
 def _simplices(counts: tuple[int, ...]) -> np.ndarray:
     """Return the two triangles or six tetrahedra of the cell whose lowest node is 0, positively
     oriented."""
-    return _corners(len(counts)) @ _strides(counts)
+    return _corners(len(counts)) @ strides_of(counts)
 
 
 @cache

@@ -157,6 +157,48 @@ def test_stiffness_is_that_of_its_definition_in_sorted_symmetric_blocks(mesh, ma
     assert abs(matrix - matrix.T).max() == 0.0 and (np.diff(matrix.indptr) > 0).all()
 
 
+SPRUCE = {
+    "young": (12e9, 0.8e9, 0.5e9),
+    "poisson": (0.4, 0.4, 0.5),
+    "shear": (0.7e9, 0.7e9, 0.05e9),
+}
+LATTICES = {
+    "sheet": (am.Rectangle(width=0.3, height=0.7, origin=(3.1, -0.4)), (63, 71)),
+    "strip": (am.Rectangle(width=2.0, height=1e-3, origin=(-1.0, 5.0)), (2000, 1)),
+    "block": (am.Box(width=0.3, depth=0.2, height=0.7, origin=(0.1, 3.0, -2.0)), (13, 9, 31)),
+    "plate": (am.Box(width=0.3, depth=0.2, height=0.01), (45, 30, 2)),
+}
+
+
+@BOTH_ELEMENTS
+@pytest.mark.parametrize("name", LATTICES)
+def test_a_large_lattice_has_the_matrix_of_the_same_mesh_numbered_at_random(name, elements):
+    domain, divisions = LATTICES[name]
+    mesh = am.mesh.structured(domain, divisions)
+    axes = np.linalg.qr(np.random.default_rng(1).random((3, 3)))[0]
+    material = {
+        "sheet": am.PlaneStrain.orthotropic(**SPRUCE, angle=30.0),
+        "strip": am.PlaneStress(young=2e11, poisson=0.3),
+        "block": am.Solid.orthotropic(**SPRUCE, axes=axes),
+        "plate": am.Solid(young=2e11, poisson=0.3),
+    }[name]
+    rng = np.random.default_rng(0)
+    number = rng.permutation(mesh.n_nodes)
+    at_random = replace(
+        mesh,
+        points=mesh.points[np.argsort(number)],
+        elements=rng.permutation(number[mesh.elements]),
+        facets=number[mesh.facets],
+    )
+    ours = am.discrete.stiffness(mesh, material, elements)
+    dofs = (mesh.dim * number[:, None] + np.arange(mesh.dim)).ravel()
+    theirs = am.discrete.stiffness(at_random, material, elements).tocsr()[dofs][:, dofs]
+    assert abs(ours - theirs).max() <= 1e-11 * abs(theirs).max()
+    assert len(ours.indices) == theirs.nnz / mesh.dim**2
+    assert ours.has_sorted_indices and ours.indptr.dtype == np.int32
+    assert abs(ours - ours.T).max() == 0.0
+
+
 def test_glued_bodies_move_together():
     mesh = am.mesh.structured(am.Rectangle(width=2.0, height=1.0), 4)
     glued = replace(
