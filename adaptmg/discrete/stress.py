@@ -383,50 +383,63 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     cells, points = separate_bodies(mesh)
     corners = cells.shape[1]
     centroids = sum(mesh.points.take(nodes, axis=0) for nodes in mesh.elements.T) / corners
-    of_nodes = elements_of_nodes(cells, len(points))
-    rows, columns = checks.shape_of(of_nodes)
-    # the elements of each node, and the nodes of each element
-    elements_of_node = sparse.csr_array(
-        (np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=(columns, rows)
+    by_node = elements_of_nodes(cells, len(points))
+    # which elements are at which nodes (n_points, n_elements), and the transpose
+    incidence = sparse.csr_array(
+        (np.ones(cells.size), by_node.indices, by_node.indptr), shape=(len(points), len(cells))
     )
-    corners_of = sparse.csr_array(
+    transposed = sparse.csr_array(
         (np.ones(cells.size), cells.reshape(-1), corners * np.arange(len(cells) + 1)),
-        shape=of_nodes.shape,
+        shape=(len(cells), len(points)),
     )
-    indptr, _ = pattern(of_nodes, starts_of(cells), cells.reshape(-1))
-    # inner nodes: by Euler's formula F elements surround a node if they have F other nodes (3D:
-    # F / 2 + 2); around a boundary node they have more
-    n_neighbours = np.diff(indptr) - 1
-    n_elements = np.diff(elements_of_node.indptr)
-    inner = np.flatnonzero(
-        n_neighbours == n_elements if corners == 3 else 2 * n_neighbours == n_elements + 4
-    )
-    fits, determined = _fits(elements_of_node[inner], points[inner], centroids, values)
+    inner = _surrounded_nodes(cells, by_node)
+    fits, determined = _fits(incidence[inner], points[inner], centroids, values)
     inner = inner[determined]
     fits = fits[determined]
     nodal = np.zeros((len(points), values.shape[1]))
     nodal[inner] = fits[:, 0]
     outer = np.setdiff1d(np.arange(len(points)), inner)
     # entries are the numbers of elements that an outer node and another one share
-    shared = sparse.coo_array(elements_of_node[outer] @ corners_of)
+    shared = sparse.coo_array(incidence[outer] @ transposed)
+    weights = _add_extrapolated(nodal, points, outer, shared, inner, fits)
+    nodal[weights > 0] /= weights[weights > 0, None]
+    corner_nodes = outer[weights[outer] == 0]
+    wider_patches = incidence[corner_nodes] @ transposed @ incidence
+    nodal[corner_nodes] = _fits(wider_patches, points[corner_nodes], centroids, values)[0][:, 0]
+    return cells, nodal
+
+
+def _surrounded_nodes(cells: np.ndarray, by_node: sparse.csc_array) -> np.ndarray:
+    """Return the inner nodes. By Euler's formula F elements that surround a node have F other nodes, in
+    space F / 2 + 2; around a boundary node they have more."""
+    indptr, _ = pattern(by_node, starts_of(cells), cells.reshape(-1))
+    n_others = np.diff(indptr) - 1
+    n_elements = np.diff(by_node.indptr)
+    in_plane = cells.shape[1] == 3
+    return np.flatnonzero(n_others == n_elements if in_plane else 2 * n_others == n_elements + 4)
+
+
+def _add_extrapolated(
+    nodal: np.ndarray,
+    points: np.ndarray,
+    outer: np.ndarray,
+    shared: sparse.coo_array,
+    inner: np.ndarray,
+    fits: np.ndarray,
+) -> np.ndarray:
+    """Add to the values ``nodal`` of outer nodes the fits a + B (x - x_i) of their inner neighbours i
+    there, times the number of elements that both share (n_outer, n_points); return the sums of these
+    numbers (n_points,)."""
     fit_of_node = places_of(inner, len(points))
     has_fit = fit_of_node[shared.col] >= 0
     node = outer[shared.row[has_fit]]
     neighbour = shared.col[has_fit]
     n_shared = shared.data[has_fit]
     neighbour_fits = fits[fit_of_node[neighbour]]
-    slopes = neighbour_fits[:, 1:]
-    # the fits a + B (x - x_i) of inner neighbours, at the place of the outer node
-    extrapolated = neighbour_fits[:, 0] + np.einsum(
-        "nd,ndc->nc", points[node] - points[neighbour], slopes
-    )
-    np.add.at(nodal, node, n_shared[:, None] * extrapolated)
-    weights = np.bincount(node, n_shared, len(points))
-    nodal[weights > 0] /= weights[weights > 0, None]
-    isolated = outer[weights[outer] == 0]
-    wider_patches = elements_of_node[isolated] @ corners_of @ elements_of_node
-    nodal[isolated] = _fits(wider_patches, points[isolated], centroids, values)[0][:, 0]
-    return cells, nodal
+    steps = points[node] - points[neighbour]
+    values = neighbour_fits[:, 0] + np.einsum("nd,ndc->nc", steps, neighbour_fits[:, 1:])
+    np.add.at(nodal, node, n_shared[:, None] * values)
+    return np.bincount(node, n_shared, len(points))
 
 
 def _fits(

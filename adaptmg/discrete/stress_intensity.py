@@ -107,8 +107,10 @@ def tip_of(mesh: MeshArrays, crack: str, number: int) -> Tip:
     """Return the tip of this number along the path."""
     left = mesh.boundary_facets(f"{crack}.left")
     shared = np.intersect1d(left, mesh.boundary_nodes(f"{crack}.right"))
-    # Facets of the left face run along the path. A path begins at a node where facets start and
-    # none ends; reversed facets find where it ends. A mouth on the boundary has two nodes, a tip one.
+    # Facets of the left face run along the path, begin -> ... -> end. At its begin, where facets start
+    # and none ends, the crack grows against the path, and has the right face on its left; at its end
+    # it grows along the path, and has the left face there. Both ends are the first node of facets that
+    # lead away from the tip: of those along the path, of reversed ones. A mouth has two nodes, a tip one.
     ends = [
         (int(node), upper, facets)
         for upper, facets in (("right", left), ("left", left[:, ::-1]))
@@ -150,47 +152,36 @@ def stress_intensity(
     tip = tip_of(mesh, crack, number)
     faces = [f"{crack}.left", f"{crack}.right"]
     r = np.abs(tip.local(mesh.points))
-    # the domain must not reach other boundaries, or the crack beyond a turn
-    not_straight_crack = ~np.isin(mesh.facet_labels, list(map(mesh.boundaries.index, faces)))
-    not_straight_crack |= (r[mesh.facets] > tip.straight * (1 + 1e-9)).any(axis=1)
-    tip_node = np.argmin(r)
-    lame, shear = _of_one_material(
-        mesh, data, np.flatnonzero((mesh.elements == tip_node).any(axis=1))
-    )
+    at_tip = (mesh.elements == np.argmin(r)).any(axis=1)
+    lame, shear = _of_one_material(mesh, data, np.flatnonzero(at_tip))
     other_material = (data.lame != lame) | (data.shear != shear)
-    limits = r[mesh.facets[not_straight_crack]].min(initial=np.inf)
-    limits = min(limits, r[mesh.elements[other_material[mesh.element_body]]].min(initial=np.inf))
-    largest = min(_OF_CRACK * tip.straight, _OF_REST * float(limits))
+    largest = _largest_radius(mesh, tip, r, faces, other_material[mesh.element_body])
     outer = largest if radius is None else checks.positive("radius", radius)
     if not outer <= largest:
         raise ValueError(
             f"radius must be at most {largest:.3g} m at this tip (a turn of the crack, the other tip, "
             f"another boundary or another material is near), got {radius!r}"
         )
-    # edges of equilateral elements with the volumes of those at .2 to 1 of the radius
-    ring = np.abs(r[mesh.elements].mean(axis=1) / outer - 0.6) < 0.4
-    element_size = (
-        float(np.median(np.sqrt(4 / np.sqrt(3) * mesh.volumes[ring]))) if ring.any() else np.inf
-    )
+    element_size = _element_size(mesh, r, outer)
     if not outer >= _ELEMENTS * element_size:
         raise ValueError(
             f"the mesh is too coarse at tip {number} of {crack!r}: a radius of {outer:.3g} m must be at "
             f"least {_ELEMENTS} elements, which are {element_size:.3g} m there; refine it"
         )
-    # the fields in the axes of the tip; forces on the faces are tractions, the others act in the body
+    # fields in the axes of the tip; forces on the faces become tractions, the others act in the body
     stress = data.tensors(mesh, displacement)[:, :2, :2]
     forces = _nodal_forces(mesh, stress) @ tip.axes.T
     fit = _fitted_tractions(mesh, tip, faces, forces, outer)
-    for face in faces:  # those of faces are in the fit
+    for face in faces:
         forces[mesh.boundary_nodes(face)] = 0.0
     free_strains = tip.axes @ _free_strain(mesh, data, lame, shear) @ tip.axes.T
-    at_tip = free_strains[(mesh.elements == tip_node).any(axis=1)].mean(axis=0)
+    free_at_tip = free_strains[at_tip].mean(axis=0)
     fields = _Fields(
         mesh=mesh,
         tip=tip,
-        gradient=tip.axes @ displacement_gradient(mesh, displacement) @ tip.axes.T - at_tip,
+        gradient=tip.axes @ displacement_gradient(mesh, displacement) @ tip.axes.T - free_at_tip,
         stress=tip.axes @ stress @ tip.axes.T,
-        uneven=free_strains - at_tip,
+        uneven=free_strains - free_at_tip,
         forces=forces,
         fit=fit,
         lame=lame,
@@ -204,6 +195,30 @@ def stress_intensity(
         radii=radii,
         spread=tuple(np.ptp(factors, axis=0).tolist()),
     )
+
+
+def _largest_radius(
+    mesh: MeshArrays, tip: Tip, r: np.ndarray, faces: list[str], other_material: np.ndarray
+) -> float:
+    """Return the largest radius of a domain, m, which must not reach other boundaries, the crack beyond
+    a turn, or elements of another material, a mask (n_elements,); ``r`` (n_nodes,) are the distances
+    from the tip."""
+    on_straight_crack = np.isin(mesh.facet_labels, list(map(mesh.boundaries.index, faces)))
+    on_straight_crack &= (r[mesh.facets] <= tip.straight * (1 + 1e-9)).all(axis=1)
+    distance = min(
+        r[mesh.facets[~on_straight_crack]].min(initial=np.inf),
+        r[mesh.elements[other_material]].min(initial=np.inf),
+    )
+    return min(_OF_CRACK * tip.straight, _OF_REST * float(distance))
+
+
+def _element_size(mesh: MeshArrays, r: np.ndarray, radius: float) -> float:
+    """Return the median size, m, of the elements at .2 to 1 of a radius, the edge of an equilateral one of
+    the same area; infinite if there are none."""
+    ring = np.abs(r[mesh.elements].mean(axis=1) / radius - 0.6) < 0.4
+    if not ring.any():
+        return np.inf
+    return float(np.median(np.sqrt(4 / np.sqrt(3) * mesh.volumes[ring])))
 
 
 def _of_one_material(
@@ -298,15 +313,17 @@ class _Fields:
         measures = mesh.volumes[inside, None] * weights
         weight_at_points = q[mesh.elements[inside]] @ rule.T
         loaded = np.flatnonzero((q > 0) & self.forces.any(axis=1))
-        # along the face, from s = 0 to the root of the radius
+        # int t q r^-1/2 dr along the face = int t q 2 ds with r = s^2, by Gauss points from s = 0 to the
+        # root of the radius, half of which is the factor of their weights
         s, gauss_weights = np.polynomial.legendre.leggauss(40)
         s = 0.5 * (1 + s) * np.sqrt(radius)
         gauss_weights = gauss_weights * np.sqrt(radius)
-        traction = (gauss_weights * np.clip(2 - 2 * s**2 / radius, 0, 1)) @ (
+        sliding, opening = (gauss_weights * np.clip(2 - 2 * s**2 / radius, 0, 1)) @ (
             s[:, None] ** (2 * np.arange(3)) @ self.fit
         )
         result = []
-        for factor, jump_part in ((1.0, traction[1]), (1j, traction[0])):
+        # the faces of K_I = 1 move apart along axis 2, those of K_II = 1 slide along axis 1
+        for factor, traction in ((1.0, opening), (1j, sliding)):
             near_field, displacement_derivative, stress_derivative = _near_field(
                 z, factor, kolosov, shear
             )
@@ -315,7 +332,7 @@ class _Fields:
             flux += np.einsum("nqij,ni->nqj", near_field, gradient[:, :, 0])
             flux[:, :, 0] -= np.einsum("nqij,nij->nq", near_field, gradient)
             integral = np.einsum("nq,nqj,nj->", measures, flux, slopes)
-            # e_ij sigma^a_ij,1 q, then f_i u^a_i,1 q at nodes, then t_i times the jump of u^a_i,1
+            # e_ij sigma^a_ij,1 q, then f_i u^a_i,1 q at nodes
             integral -= np.einsum(
                 "nq,nqij,nij->", measures * weight_at_points, stress_derivative, self.uneven[inside]
             )
@@ -323,7 +340,8 @@ class _Fields:
             integral -= np.einsum(
                 "n,ni,ni->", q[loaded], displacement_derivative, self.forces[loaded]
             )
-            integral += (kolosov + 1) / (2 * shear * np.sqrt(2 * np.pi)) * jump_part
+            # - t_i u^a_i,1 q of both faces, where u^a_,1 jumps by -(kappa + 1) / (2 mu sqrt(2 pi r))
+            integral += (kolosov + 1) / (2 * shear * np.sqrt(2 * np.pi)) * traction
             result.append(0.5 * modulus * float(integral))
         return result
 
