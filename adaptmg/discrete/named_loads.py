@@ -32,9 +32,8 @@ class LoadSteps:
 
     n_dofs: int
     loads: Mapping[str, np.ndarray]  # dict of str to (n_dofs,)
-    prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]  # dict of str to ((n,) int, (n,))
-    # the same for nodes held along directions that are not axes; the parts of all names add up there
-    inclined: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    # dict of str to ((n,) int, (n,)): dofs and parts of their values, which add up
+    prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]
     holds: Sequence[Held] = ()
     # stress data without initial strains; Any: None without a problem, which then has no strains
     stress: StressData | Any = None
@@ -104,8 +103,6 @@ class LoadSteps:
         """Return the prescribed displacement (n_dofs,) of a step, zero at free dofs, m."""
         result = np.zeros(self.n_dofs)
         for name, (dofs, values) in self.prescribed.items():
-            result[dofs] = factors.get(name, 1.0) * values
-        for name, (dofs, values) in self.inclined.items():
             result[dofs] += factors.get(name, 1.0) * values
         self._check_holds(result, factors)
         return result
@@ -151,12 +148,10 @@ def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
             strain_loads[name] = discrete.relative_forces(
                 load_vector(mesh, initial_strains, posed.materials, problem.elements)
             )
-    dofs = dofs_of(posed.inclined.nodes, mesh.dim)
     return LoadSteps(
         n_dofs=discrete.n_dofs,
         loads=loads,
         prescribed=_prescribed(posed),
-        inclined={name: (dofs, part.reshape(-1)) for name, part in posed.inclined.moved.items()},
         holds=posed.holds,
         stress=StressData.of(mesh, posed.materials, elements=problem.elements),
         strains=strains,
@@ -168,12 +163,18 @@ def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
 def _prescribed(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return by name the dofs (n,) that supports and ties prescribe, and their values (n,), m."""
     points = posed.mesh.points
+    unassigned = posed.fixed.copy()
     result = {}
     for name in dict.fromkeys(support.path_name for support in posed.problem.supports):
         holds = [hold for hold in posed.holds if hold.support.path_name == name]
         fixed, values = held_components(points, holds)
-        fixed &= posed.fixed  # a support of another name may hold a node along another direction
+        # a component of several names is left to the first one, as they prescribe the same
+        fixed &= unassigned
+        unassigned &= ~fixed
         result[name] = np.flatnonzero(fixed), values[fixed]
+    dofs = dofs_of(posed.inclined.nodes, posed.mesh.dim)
+    for name, part in posed.inclined.moved.items():
+        result[name] = tuple(map(np.append, result[name], (dofs, part.reshape(-1))))
     # jumps of periodic sides, along what supports leave free
     for tie, part in zip(posed.problem.ties, posed.ties, strict=True):
         if isinstance(tie, Periodic) and tie.jump is not None:

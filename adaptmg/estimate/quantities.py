@@ -70,8 +70,10 @@ class GoalView:
 
     def load_of(self, nodal: np.ndarray) -> np.ndarray:
         """Return a functional of the displacement (n_nodes, dim) as one (n_dofs,) of the relative
-        coordinates."""
-        return self.discrete.relative_forces(np.asarray(nodal, dtype=np.float64).reshape(-1))
+        coordinates, without parts along inclined directions: supports prescribe the displacement
+        there."""
+        flat = np.asarray(nodal, dtype=np.float64).reshape(-1)
+        return self.discrete.inclined.free_part(self.discrete.relative_forces(flat))
 
     def interpolated(self, coarse: np.ndarray) -> np.ndarray:
         """Return a vector (n_dofs,) of the coarse mesh, relative coordinates, on this one."""

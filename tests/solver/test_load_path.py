@@ -421,6 +421,22 @@ class TestStore:
         for named, (grids, other, solver) in others.items():
             with pytest.raises(ValueError, match=f"belongs to another run: {named} differ"):
                 am.solve_path(grids, other, solver, store=tmp_path)
+        # supports along a direction that is not an axis move further
+        square = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+        sloping = replace(square, points=square.points @ [[1.0, 0.0], [0.5, 1.0]])
+        grids, further = (
+            am.Hierarchy.from_meshes(
+                am.ContactProblem(
+                    material=am.PlaneStrain(young=1e9, poisson=0.3),
+                    supports=[am.Support("left", normal=shift), am.Support("right", y=0, x=0)],
+                ),
+                [sloping],
+            )
+            for shift in (1e-4, 2e-4)
+        )
+        am.solve_path(grids, path, am.ActiveSet(), store=tmp_path / "inclined")
+        with pytest.raises(ValueError, match="belongs to another run: supports differs"):
+            am.solve_path(further, path, am.ActiveSet(), store=tmp_path / "inclined")
         # rounding is not another run
         close = am.Hierarchy.uniform(
             am.cases.greco_bar(top_pressure=5e7 * (1 + 1e-14)), divisions=(4, 8, 16)

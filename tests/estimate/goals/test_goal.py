@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bodies import rotation
 
 import adaptmg as am
 from adaptmg.estimate.quantities import Functional
@@ -120,6 +121,27 @@ def test_terms_add_up_and_quantities_count_relatively():
     )
     estimate = am.Goal(am.MeanDisplacement("right", "x")).indicate(*bar(4))
     assert estimate.value == 0 and not estimate.squares.any() and estimate.relative == 0
+
+
+def test_what_a_support_prescribes_of_a_mean_has_no_error_at_any_angle():
+    """The errors of the components turn with the body."""
+    errors = []
+    for turn in (rotation(0.0), rotation(0.4)):
+        mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 4)
+        problem = am.ContactProblem(
+            material=am.PlaneStrain(young=1e7, poisson=0.3),
+            law=am.Coulomb(0.3),
+            contact=am.Contact("bottom", am.Plane((0, 0), turn[:, 1])),
+            loads=[am.Traction("right", turn @ [1e3, -2e3])],
+            supports=[am.Support("left", normal=-1e-4)],
+        )
+        meshes = [dataclasses.replace(mesh, points=mesh.points @ turn.T)]
+        grids = am.Hierarchy.from_meshes(problem, meshes)
+        goal = am.Goal([am.MeanDisplacement("left", axis) for axis in "xy"])
+        errors.append(goal.indicate(grids, am.solve(grids, am.ActiveSet())).errors @ turn)
+    size = np.abs(errors[0][1])
+    assert errors[0][0] == 0 and size > 1e-7
+    np.testing.assert_allclose(errors[1], errors[0], atol=1e-6 * size)
 
 
 def test_what_has_no_meaning_is_refused():
