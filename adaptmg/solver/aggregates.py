@@ -142,6 +142,35 @@ def _adjacent(indptr, indices, label, seen, aggregate, neighbour):
     return found
 
 
+def _groups(problem: DiscreteProblem) -> tuple[np.ndarray, int]:
+    """Return the group (n_nodes,) of each node, and the number of bodies: a group is a body or, between
+    bodies, its contact nodes, with the number of bodies added; -1 at wholly fixed nodes."""
+    dim = problem.dim
+    group = np.zeros(problem.n_nodes, dtype=np.int32)
+    for k, nodes in enumerate((problem.bodies or {}).values()):
+        group[nodes] = k
+    n_bodies = int(group.max()) + 1
+    if problem.between_bodies:
+        group[problem.contact.nodes] += n_bodies
+    group[np.logical_and.reduce([problem.fixed[k::dim] for k in range(dim)])] = -1
+    return group, n_bodies
+
+
+def _narrow_order(
+    matrix: sparse.bsr_array, label: np.ndarray, count: int
+) -> tuple[np.ndarray, int]:
+    """Return the places (count,) of aggregates in an order in which the coarse matrix has a narrow band,
+    and the width of the band in aggregates."""
+    pairs = np.empty((2, len(matrix.indices)), dtype=np.int32)
+    seen = np.full(count, -1, dtype=np.int32)
+    pairs = pairs[:, : _adjacent(matrix.indptr, matrix.indices, label, seen, *pairs)]
+    coarse = sparse.csr_array(
+        (np.ones(pairs.shape[1], dtype=bool), tuple(pairs)), shape=(count, count)
+    )
+    place = np.argsort(reverse_cuthill_mckee(coarse, symmetric_mode=True)).astype(np.int32)
+    return place, int(np.abs(np.diff(place[pairs], axis=0)).max(initial=0)) + 1
+
+
 class Aggregates:
     """The aggregates of a problem: they depend on mesh, bodies and supports, not on the contact
     status."""
@@ -151,19 +180,13 @@ class Aggregates:
         matrix = problem.matrix
         dim = problem.dim
         n = problem.n_nodes
-        # an aggregate has nodes of one group: of a body, or of its contact nodes; -1: wholly fixed
-        group = np.zeros(n, dtype=np.int32)
-        for k, nodes in enumerate((problem.bodies or {}).values()):
-            group[nodes] = k
-        bodies = int(group.max()) + 1
-        if problem.between_bodies:
-            group[problem.contact.nodes] += bodies
-        group[np.logical_and.reduce([problem.fixed[k::dim] for k in range(dim)])] = -1
+        group, n_bodies = _groups(problem)
         size, depth = _SIZE[dim]
         if n > _MANY[dim]:
             size = max(_LARGE, n // _MOST[dim])
             depth = round(0.9 * size ** (1 / max(dim, 2)))
-        sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
+        # (n_groups,): nodes of an aggregate in a body, and in its contact nodes, a surface
+        sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], n_bodies)
         label = np.full(n, -1, dtype=np.int32)
         _grow(
             matrix.indptr,
@@ -181,17 +204,10 @@ class Aggregates:
         self.count = int(label.max(initial=-1)) + 1
         points = np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates
         self.offsets = _offsets(points[:, :dim], label, self.count)
-        pairs = np.empty((2, len(matrix.indices)), dtype=np.int32)
-        seen = np.full(self.count, -1, dtype=np.int32)
-        pairs = pairs[:, : _adjacent(matrix.indptr, matrix.indices, label, seen, *pairs)]
-        coarse = sparse.csr_array(
-            (np.ones(pairs.shape[1], dtype=bool), tuple(pairs)), shape=(self.count, self.count)
-        )
-        # (n_nodes,): numbers of aggregates in the order of a narrow band, -1 at wholly fixed nodes
-        place = np.argsort(reverse_cuthill_mckee(coarse, symmetric_mode=True)).astype(np.int32)
+        place, self.width = _narrow_order(matrix, label, self.count)
+        #: (n_nodes,): places of aggregates in this order, -1 at wholly fixed nodes: a label of -1 takes
+        #: the last entry
         self.label = np.append(place, np.int32(-1)).take(label)
-        # of the band, in aggregates
-        self.width = int(np.abs(np.diff(place[pairs], axis=0)).max(initial=0)) + 1
 
     def span(self, projections: np.ndarray) -> sparse.bsr_array:
         """Return the rigid motions of the aggregates, translations and turns about their centres, as
@@ -257,13 +273,17 @@ def _increase(array, at, step, v):
 
 @kernel
 def _fill(indptr, indices, data, label, offsets, held, projections, zero, sums, width, band):
-    """Add the lower half of B'AB to ``band`` (n_coarse, ``width``), column by column; the part of each
-    aggregate by itself stands as a block, whose symmetric part is half of it, in the last columns.
+    """Add B'AB to ``band`` (n_coarse, ``width``). Between different aggregates the lower half is stored
+    by columns, as LAPACK does: the entry of row r and column c at c * width + r - c. The block of an
+    aggregate with itself stands, transposed, in the last columns of its rows; only the half of it is
+    added whose sum with its transpose is the block.
 
-    The half of the matrix up to the diagonal is read. ``sums`` (2 dim modes,) comes as 0: of a node
-    it sums the columns of A B for its own aggregate, and for another one until a third follows in
-    the row. A row of a block of the matrix is taken as a force that works on the motions, which spares
-    their products: 2.0 ms for 66k nodes and 4.9 for 36k in 3D, with products 2.8 and 24."""
+    The half of the matrix up to the diagonal is read, row i by row i. ``sums`` (2, modes, dim), flat,
+    comes as 0, and has the columns of sum_j A_ij B_j: first with the sum over the nodes j of the
+    aggregate of i, then over those of another one, until a third aggregate follows in the row and
+    :func:`_project` adds B_i' times the columns to the band. Row a of a block A_ij is a force on node
+    j, whose work on the motions of j is entry a of each column; this spares products with B_j: 2.0 ms
+    for 66k nodes and 4.9 for 36k in 3D, with products 2.8 and 24."""
     dim = np.uint64(len(zero))
     half = dim * dim * (dim + ONE) // TWO
     ahead = np.int64(data.ctypes.data) + AHEAD
@@ -280,7 +300,7 @@ def _fill(indptr, indices, data, label, offsets, held, projections, zero, sums, 
                 break
             if label[j] < 0:
                 continue
-            first = np.uint64(0) if label[j] == own else half
+            columns = np.uint64(0) if label[j] == own else half
             if label[j] != own and label[j] != other:
                 _project(i, own, other, offsets, held, projections, zero, sums, width, band)
                 other = label[j]
@@ -289,9 +309,9 @@ def _fill(indptr, indices, data, label, offsets, held, projections, zero, sums, 
             for a in range(dim):
                 force = scale(half_of_diagonal, read(data, dim * (dim * p + a), zero))
                 force = _projected(projections, held[j], force)
-                _increase(sums, first + a, dim, force)
+                _increase(sums, columns + a, dim, force)
                 if len(zero) > 1:
-                    _increase(sums, first + dim * dim + a, dim, _moment(offset, force))
+                    _increase(sums, columns + dim * dim + a, dim, _moment(offset, force))
         for k in range(1 if other == own else 2):
             last = own if k == 0 else other
             _project(i, own, last, offsets, held, projections, zero, sums, width, band)
@@ -299,29 +319,34 @@ def _fill(indptr, indices, data, label, offsets, held, projections, zero, sums, 
 
 @in_loop
 def _project(i, own, other, offsets, held, projections, zero, sums, width, band):
-    """Add to ``band`` the work of the sums for the aggregate ``other`` on the motions of node i of the
-    aggregate ``own``; set the sums to zero."""
+    """Add to ``band`` B_i' times the columns of the sums for the aggregate ``other``, with the motions B_i
+    of node i in the aggregate ``own``; set these sums to zero. The entry of motion m of ``own`` and
+    column c stands at ``start + motion_step * m + column_step * c``; see :func:`_fill`."""
     dim = np.uint64(len(zero))
     modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
-    column = modes * np.uint64(min(own, other))
-    start = column * width + modes * np.uint64(max(own, other)) - column
-    first = dim * modes
-    # between motions of the node, and between those of the other aggregate
-    step = ONE if other < own else width - ONE
-    other_step = width - step
-    if own == other:
-        start += width - modes
-        first = np.uint64(0)
-        step = ONE
-        other_step = width
+    low = modes * np.uint64(min(own, other))
+    high = modes * np.uint64(max(own, other))
+    columns = dim * modes
+    start = low * width + high - low
+    if own == other:  # row low + c of the band, in its last columns
+        columns = np.uint64(0)
+        start = low * width + width - modes
+        motion_step = ONE
+        column_step = width
+    elif other < own:  # row high + m and column low + c of the matrix
+        motion_step = ONE
+        column_step = width - ONE
+    else:  # row high + c and column low + m
+        motion_step = width - ONE
+        column_step = ONE
     offset = read(offsets, dim * i, zero)
-    for r in range(modes):
-        force = _projected(projections, held[i], read(sums, first + dim * r, zero))
-        write(sums, first + dim * r, zero)
-        at = start + other_step * r
-        _increase(band, at, step, force)
+    for c in range(modes):
+        force = _projected(projections, held[i], read(sums, columns + dim * c, zero))
+        write(sums, columns + dim * c, zero)
+        at = start + column_step * c
+        _increase(band, at, motion_step, force)
         if len(zero) > 1:
-            _increase(band, at + step * dim, step, _moment(offset, force))
+            _increase(band, at + motion_step * dim, motion_step, _moment(offset, force))
 
 
 @kernel
@@ -377,6 +402,7 @@ class CoarseCorrection:
             projections.reshape(-1),
             ZERO[dim],
         )
+        # the band, and columns for the blocks of aggregates with themselves; see _fill
         width = modes * (aggregates.width + 1)
         band = np.zeros((modes * aggregates.count, width))
         parts = [matrix]
@@ -386,16 +412,16 @@ class CoarseCorrection:
             arrays = part.indptr, part.indices, part.data.reshape(-1)
             sums = np.zeros(2 * dim * modes)
             _fill(*arrays, *self._basis, sums, np.uint64(width), band.reshape(-1))
-        blocks = band[:, -modes:].reshape(-1, modes, modes)
-        blocks = blocks + blocks.swapaxes(1, 2)
+        halves = band[:, -modes:].reshape(-1, modes, modes)
+        blocks = halves + halves.swapaxes(1, 2)
         band[:, -modes:] = 0.0
-        for k in range(modes):
+        for k in range(modes):  # column k of each block, from its diagonal on
             band[k::modes, : modes - k] += blocks[:, k, k:]
         band[:, 0] += raised(band[:, 0])
-        # it fails where nothing holds a motion; then the sweeps alone precondition
-        self._factor, self._failed = (
-            dpbtrf(band.T, lower=1, overwrite_ab=1) if len(band) else (band, 1)
-        )
+        # without aggregates, or where nothing holds a motion, the sweeps alone precondition
+        self._failed = 1
+        if len(band):
+            self._factor, self._failed = dpbtrf(band.T, lower=1, overwrite_ab=1)
 
     def add(self, residual: np.ndarray, result: np.ndarray) -> None:
         """Add the coarse correction of a residual (n_dofs,) to ``result``."""
