@@ -146,11 +146,13 @@ def scattering(
     n = len(offsets) - 1
     flat = columns.reshape(-1)
     bounds = [n * k // PARTS for k in range(PARTS + 1)]
+    # reduceat needs ranges that are not empty
     if size >= LARGE and (np.diff(offsets[bounds]) > 0).all():
         begins = offsets[bounds[:-1]]
         first_column = np.minimum.reduceat(flat, begins)
         last_column = np.maximum.reduceat(flat, begins)
-        # ranges of a colour are every other one: each must end before its successor's successor
+        # ranges k, k + 2, k + 4, ... have one colour: the last column of each lies before the first
+        # column of the next one
         if (last_column[:-2] < first_column[2:]).all():
             ranges = list(pairwise(bounds))
             return [ranges[::2], ranges[1::2]]

@@ -98,12 +98,13 @@ class Grids:
         begin = clock()
         checked, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
         levels = [Level(discrete, None, checked[-1])]
-        # a level from its prolongation, that of the next finer level, and its Galerkin matrix
-        for P, finer, A in reversed(
-            list(zip([None, *checked[:-1]], checked, matrices, strict=True))
-        ):
-            problem = restricted_problem(levels[0].discrete, finer, A) if contact else None
-            levels.insert(0, Level(problem, None, P, galerkin=A))
+        # coarse levels k, the finest of them first; checked[k] leads from level k to the next finer one
+        for k in reversed(range(len(checked))):
+            problem = None
+            if contact:
+                problem = restricted_problem(levels[0].discrete, checked[k], matrices[k])
+            from_coarser = checked[k - 1] if k > 0 else None
+            levels.insert(0, Level(problem, None, from_coarser, galerkin=matrices[k]))
         return cls(tuple(levels), None, "given prolongations", {"transfer": clock() - begin})
 
     @classmethod

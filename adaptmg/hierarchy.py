@@ -356,6 +356,10 @@ class Hierarchy(Grids):
     def forecast(self, finer: float = 1.0) -> Forecast:
         """Return the memory and time that a solve will take, from measured costs.
 
+        They are proportional to the nodes n, for scalar problems to n / dim^2, as matrices have that
+        fewer entries; meshes other than lattices add a time proportional to n, and the coarsest level,
+        of N unknowns of which m are in contact, times proportional to m^3 and N^(3 - 3 / dim).
+
         Parameters
         ----------
         finer : float
@@ -365,8 +369,8 @@ class Hierarchy(Grids):
         dim = finest.discrete.dim if finest.mesh is None else finest.mesh.dim
         cells = (finest.n_nodes ** (1 / dim) - 1) * checks.positive("finer", finer)
         nodes = round((cells + 1) ** dim)
-        share = finest.discrete.dim / dim  # 1; less for a scalar problem
-        cost = nodes * share**2
+        components = finest.discrete.dim / dim  # 1, or 1 / dim in scalar problems
+        cost = nodes * components**2
         unknowns = nodes * finest.discrete.dim
         dim = min(max(dim, 2), 3)
         seconds = _SECONDS[dim] * cost

@@ -131,11 +131,11 @@ def keys_of(function: Maker) -> dict[str, Key]:
     keys = {}
     keys_of_objects = {}
     for name, (item, kinds) in _parameters(function).items():
-        if kinds[1:]:
+        if not kinds:
+            keys[name] = Key(_words(item), _default(item.default))
+        elif len(kinds) > 1:  # an object of a single class is given by its arguments alone
             default = _default_class(name, item, kinds)
             keys[name] = Key(_choices(map(name_of, kinds)), name_of(default) if default else "")
-        elif not kinds:
-            keys[name] = Key(_words(item), _default(item.default))
         for kind in kinds:
             for key, value in keys_of(kind).items():
                 if type(item.default) is kind and hasattr(item.default, key):

@@ -265,11 +265,13 @@ def _automatic_factor(result: Result) -> float:
         return 1.0
     factor = 0.05 * size / largest
     contact = result.contact
-    # drawn larger, a gap that has closed by u_n is passed by factor * u_n - gap before
-    closing = contact.u_n * np.array([bool(name) for name in contact.masters])[contact.boundary]
-    shut = closing > 0
-    before = (contact.gap + contact.u_n)[shut]
-    factor = min(factor, ((_OVERLAP * size + before) / closing[shut]).min(initial=np.inf))
+    # drawn f times as large, a node with the initial gap g_0 in front of another body lies f u_n - g_0
+    # inside it, which is at most _OVERLAP of the size
+    faces_body = np.array(contact.masters, dtype=bool)[contact.boundary]
+    closes = faces_body & (contact.u_n > 0)
+    u_n = contact.u_n[closes]
+    initial_gap = contact.gap[closes] + u_n
+    factor = min(factor, ((_OVERLAP * size + initial_gap) / u_n).min(initial=np.inf))
     for k in range(len(contact.names)):
         nodes = contact.node[contact.closed & (contact.boundary == k)]
         if len(nodes) > 1:

@@ -250,10 +250,13 @@ def flattened(result: Result, boundary: str) -> Flat:
     scale, unit = style.scaled(float(np.ptp(x, axis=0).max()), "m")
     mean = normals.mean(axis=0)
     if np.linalg.norm(mean) < _AROUND:
-        # around the direction that is across all normals
-        axis = np.linalg.svd(normals, full_matrices=False)[2][2]
+        # around the direction across all normals, the right singular vector of the least singular
+        # value; its largest component is positive
+        _, _, directions = np.linalg.svd(normals, full_matrices=False)
+        axis = directions[2]
         frame, names = _frame(axis * np.sign(axis[np.argmax(np.abs(axis))]))
-        angle = np.degrees(np.arctan2(*(normals @ frame[:, :2]).T[::-1]))
+        first, second = (normals @ frame[:, :2]).T
+        angle = np.degrees(np.arctan2(second, first))
         # the angle jumps from 180 to -180 degrees at a seam: triangles across the seam would cover the rest
         triangles = triangles[np.ptp(angle[triangles], axis=1) < 180.0]
         return Flat(
@@ -270,20 +273,19 @@ def flattened(result: Result, boundary: str) -> Flat:
 
 
 def _frame(normal: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return two directions across a unit normal, near Cartesian axes, and the normal (the columns
-    of a (3, 3) array), and the names of all three."""
-    order = np.argsort(np.abs(normal), kind="stable")
-    near = np.sort(order[:2])
-    first = np.eye(3)[near[0]] - normal[near[0]] * normal
+    """Return two directions across a unit normal, and the normal, as the columns of a (3, 3) array, and
+    the names of all three. The two directions are near the two Cartesian axes that are least along the
+    normal: the first is the projection of one, the second has a positive component along the other."""
+    *across, along = np.argsort(np.abs(normal), kind="stable").tolist()
+    i, j = sorted(across)
+    first = np.eye(3)[i] - normal[i] * normal
     first /= np.linalg.norm(first)
     second = np.cross(normal, first)
-    frame = np.stack([first, second * np.sign(second[near[1]]), normal], axis=1)
-    names = [
-        "xyz"[k] if abs(frame[k, j]) > 1 - 1e-6 else other
-        for j, (k, other) in enumerate(
-            zip((*near, order[2]), ("t1", "t2", "the axis"), strict=True)
-        )
-    ]
+    frame = np.stack([first, second * np.sign(second[j]), normal], axis=1)
+    names = ["t1", "t2", "the axis"]
+    for column, axis in enumerate((i, j, along)):
+        if abs(frame[axis, column]) > 1 - 1e-6:
+            names[column] = "xyz"[axis]
     return frame, names
 
 
@@ -319,19 +321,25 @@ def lines_of(result: Result, boundary: str, near_contact: bool = False) -> list[
         if result.mesh is None
         else _parts(result.mesh, c, boundary, index)
     )
-    (start, begin), *_ = ((c.x[nodes[0]], arc[0]) for nodes, arc in parts)
-    label = f"arc length from ({scale * start[0]:.4g}, {scale * start[1]:.4g}) [{unit}]"
+    nodes, arc = parts[0]
+    begin = arc[0]
+    x, y = scale * c.x[nodes[0], :2]
+    label = f"arc length from ({x:.4g}, {y:.4g}) [{unit}]"
     lines = [Line(nodes, scale * (arc - begin), label) for nodes, arc in parts]
     if near_contact:
         lines = [line.around(c.state[line.index] != OPEN) for line in lines]
-    extent = np.ptp(c.x[np.concatenate([line.index for line in lines])], axis=0)
-    axis = int(extent.argmax())
+    drawn = np.ptp(c.x[np.concatenate([line.index for line in lines])], axis=0)
+    axis = int(drawn.argmax())
     length = np.ptp(np.concatenate([line.position for line in lines]))
-    if length > _BENT * scale * extent[axis]:
-        return lines
-    label = f"{style.axis_names(result)[axis]} [{unit}]"
-    ordered = [line.index[np.argsort(c.x[line.index, axis])] for line in lines]
-    return [Line(nodes, scale * c.x[nodes, axis], label) for nodes in ordered]
+    is_bent = length > _BENT * scale * drawn[axis]
+    return lines if is_bent else [_along_axis(result, line, axis, scale, unit) for line in lines]
+
+
+def _along_axis(result: Result, line: Line, axis: int, scale: float, unit: str) -> Line:
+    """Return a line with a coordinate in place of the arc length."""
+    c = result.contact
+    nodes = line.index[np.argsort(c.x[line.index, axis])]
+    return Line(nodes, scale * c.x[nodes, axis], f"{style.axis_names(result)[axis]} [{unit}]")
 
 
 def _parts(

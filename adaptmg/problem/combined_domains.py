@@ -468,6 +468,7 @@ class Cracked(SolidDomain):
                 places: list[tuple[float, ...]] = list(body.vertices)
                 for other, points in self.cracks.items():
                     if other != name:
+                        # without the ends of cracks that follow, which may still be moved
                         places += paths.get(other, points[1:-1])
                 distances = np.linalg.norm(np.array(places) - end, axis=1)
                 nearest = int(np.argmin(distances))
@@ -508,22 +509,19 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
     """Raise ValueError unless cracks lie in the body, meet only at their points, and leave it in
     one piece."""
     n = len(body.vertices)
-    # numbers of the points; of the boundary those of its vertices
-    number: dict[tuple[float, ...], int] = {
-        p: i for i, p in reversed(list(enumerate(body.vertices)))
-    }
+    # distinct points, first the vertices of the boundary
+    points = list(dict.fromkeys(chain(body.vertices, *paths.values())))
+    number = {point: k for k, point in enumerate(points)}
     starts = list(range(n))
     ends = body.following.tolist()
     names = list(body.boundaries)
-    # Union-find over vertices: a loop of the boundary is one part. An edge of a crack joins two
-    # parts; within one part it would close a loop and cut off a piece of the body.
+    # part[k] is the connected part that point k is in: at first its loop of the boundary, or the point
+    # alone. An edge of a crack joins two parts; within one part it would close a loop and cut off a
+    # piece of the body.
     part = np.searchsorted(body.holes, np.arange(n), side="right").tolist()
+    part += range(n, len(points))
     for name, path in paths.items():
         for p, q in pairwise(path):
-            for end in (p, q):
-                if end not in number:
-                    number[end] = len(part)
-                    part.append(len(part) + n)
             u = number[p]
             v = number[q]
             if u == v:
@@ -539,7 +537,7 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
             starts.append(u)
             ends.append(v)
             names.append(f"{name}.left")
-    places = np.array(list(number))[np.argsort(list(number.values()))]
+    places = np.array(points)
     edges = [*body.edges[:n], *map(Segment, places[starts[n:]], places[ends[n:]])]
     check_simple(edges, names, np.array(starts), np.array(ends), "cracks")
 

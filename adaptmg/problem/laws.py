@@ -67,8 +67,13 @@ class Anisotropy:
         return callable(self.axes) or callable(self.angle)
 
     def nearest(self) -> tuple[float, float]:
-        """Return Young's modulus, Pa, and Poisson's ratio of the isotropic material whose stiffness is
-        the mean over all directions (Voigt)."""
+        r"""Return Young's modulus, Pa, and Poisson's ratio of the isotropic material whose stiffness is
+        the mean over all directions, Voigt's average (R. Hill, Proc. Phys. Soc. A 65, 1952,
+        doi:10.1088/0370-1298/65/5/307):
+
+        .. math:: 9 K = c_{11} + c_{22} + c_{33} + 2 (c_{12} + c_{13} + c_{23}),\qquad
+           15 G = c_{11} + c_{22} + c_{33} - (c_{12} + c_{13} + c_{23}) + 3 (c_{44} + c_{55} + c_{66}) .
+        """
         c = np.array(self.stiffness)
         bulk = c[:3, :3].sum() / 9
         shear = (np.trace(c[:3, :3]) - (c[0, 1] + c[0, 2] + c[1, 2]) + 3 * np.trace(c[3:, 3:])) / 15
@@ -192,7 +197,9 @@ class Elastic(checks.Checked):
 
     @property
     def least_stiffness(self) -> float:
-        """Return the least norm of the stress of a strain over that of the strain, Pa."""
+        """Return the least norm of the stress of a strain over that of the strain, Pa: the least
+        eigenvalue of the stiffness. Of isotropic materials that is 2 mu for deviators, and 2 mu + 3 lambda
+        for changes of volume (in the plane 2 mu + 2 lambda, of which this is a bound)."""
         if self.anisotropy is None:
             return 2 * self.shear_modulus + min(3 * self.lame, 0.0)
         # shear stresses and strains count twice in the norms of tensors

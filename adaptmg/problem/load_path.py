@@ -196,8 +196,9 @@ def step_problem(
         for kind in ("loads", "supports", "ties")
     }
     if motions is not None:
+        # the motion of a preload is one number, its strain
         changed["loads"] = tuple(
-            part.shortening(problem.dim, *np.ravel(motions[part.path_name]))
+            part.shortening(problem.dim, strain=np.ravel(motions[part.path_name]).item())
             if isinstance(part, Preload)
             else part
             for part in changed["loads"]

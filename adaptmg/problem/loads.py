@@ -362,16 +362,21 @@ class _Holds(Acting):
     def __post_init__(self) -> None:
         super().__post_init__()
         names = self._amounts or self._stiffnesses
-        if names and all(getattr(self, name) == getattr(type(self), name) for name in names):
+        if names and not any(map(self._is_given, names)):
             raise ValueError(
                 f"the {type(self).__name__} at {self.place!r} holds nothing: give {' or '.join(names)}"
             )
 
     def components(self, dim: int) -> tuple[FieldLike | None, ...]:
         """Return the prescribed components in ``dim`` dimensions."""
-        if dim == 2 and getattr(self, "z", None) != getattr(type(self), "z", None):
+        if dim == 2 and self._is_given("z"):
             raise ValueError(f"the {type(self).__name__} at {self.place!r} has a z in a 2D problem")
         return tuple(getattr(self, name) if name in self._amounts else None for name in "xyz"[:dim])
+
+    def _is_given(self, name: str) -> bool:
+        """Return whether there is a field of this name that differs from its default, the attribute of
+        the class."""
+        return getattr(self, name, None) != getattr(type(self), name, None)
 
 
 @dataclass(frozen=True)

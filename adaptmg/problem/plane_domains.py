@@ -334,6 +334,8 @@ class Outline(Domain):
         for k, arc in enumerate(map(self.arc, edges.tolist())):
             if arc is None:
                 continue
+            # a point between chord and arc sees the chord turn in the other direction than the arc runs,
+            # and the arc by a full turn more in its own direction; every other point sees both alike
             in_circle = np.linalg.norm(x - np.array(arc.center)) < arc.radius
             between_chord_and_arc = in_circle and turns[k] * arc.angle < 0
             if between_chord_and_arc:

@@ -181,11 +181,11 @@ def check_simple(
     # distance
     lengths = np.linalg.norm(b - a, axis=1)
     extent = float(np.ptp(a, axis=0).max())
-    k = int(np.argmin(lengths))
-    if not lengths[k] > checks.ALIKE * extent:
+    shortest = int(np.argmin(lengths))
+    if not lengths[shortest] > checks.ALIKE * extent:
         raise ValueError(
-            f"{what}: edge {k} ({names[k]!r}) must be longer than {checks.ALIKE:g} of the extent, got "
-            f"{lengths[k] / extent:.2g}"
+            f"{what}: edge {shortest} ({names[shortest]!r}) must be longer than {checks.ALIKE:g} of the "
+            f"extent, got {lengths[shortest] / extent:.2g}"
         )
     grown = np.where(straight, 0.0, lengths)[:, None]
     low = np.minimum(a, b) - grown
@@ -195,9 +195,8 @@ def check_simple(
     near = (low[pairs] <= high[pairs[:, ::-1]] + tiny).all(axis=(1, 2))
     close: list[list[int]] = pairs[near].tolist()
     for i, j in close:
-        shared = [
-            a[i] if k == first[i] else b[i] for k in {first[i], last[i]} & {first[j], last[j]}
-        ]
+        common_vertices = {first[i], last[i]} & {first[j], last[j]}
+        shared = [a[i] if vertex == first[i] else b[i] for vertex in common_vertices]
         if _meet(edges[i], edges[j], shared, tiny):
             raise ValueError(
                 f"{what}: edges {i} ({names[i]!r}) and {j} ({names[j]!r}) meet; a boundary must not cross "

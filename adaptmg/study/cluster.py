@@ -318,22 +318,15 @@ def _ready(order: bytes) -> tuple[RunFunction, bool]:
 def _on_worker(order: bytes, point: Point, name: str, topic: str) -> Finished:
     """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before
     it starts."""
-    worker = (
-        get_worker()
-    )  # sync: a function that holds Python's lock would keep a report that is on its way
-    return execute.perform(
-        *_ready(order),
-        point,
-        lambda: (
-            topic
-            and sync(
-                worker.loop,
-                worker.scheduler.log_event,
-                topic=topic,
-                msg={"run": name, "worker": worker.address},
-            )
-        ),
-    )
+    worker = get_worker()
+
+    def report_start() -> None:
+        if topic:
+            # waits until it is sent: a run that holds Python's lock would keep a report back
+            message = {"run": name, "worker": worker.address}
+            sync(worker.loop, worker.scheduler.log_event, topic=topic, msg=message)
+
+    return execute.perform(*_ready(order), point, report_start)
 
 
 def _kill_worker(dask_worker: Nanny) -> None:
@@ -416,8 +409,10 @@ class _Runs:
         slots = self._slots()
         while len(self._out) < slots:
             point = next(self._points, _END)
-            if point is None or point is _END:
-                self._open = point is None  # other processes compute those that are left
+            if point is None:
+                return  # other processes compute those that are left: there may be more later
+            if point is _END:
+                self._open = False
                 return
             name = f"{self._name}-{next(self._numbers)}"
             # workers report the start of runs with a limit

@@ -380,8 +380,9 @@ class Study:
         try:
             with _shown(watch, progress) as show:
                 for number, batch in enumerate(runs):
+                    refused = next((outcome for outcome in batch if outcome.refused), None)
                     # results of a wrong form among the first ones end the study
-                    for refused in (outcome for outcome in batch if outcome.refused and not number):
+                    if number == 0 and refused is not None:
                         raise ValueError(
                             f"the run function of study {self.name} cannot be used: "
                             f"{refused.exception or refused.record.error}"
@@ -403,36 +404,40 @@ class Study:
                         watch.done += 1
                         watch.failed += bool(record.error)
                         show()
-                        _log.log(
-                            logging.WARNING if record.error else logging.INFO,
-                            "study %s: [%d/%d] %s %s",
-                            self.name,
-                            watch.done,
-                            watch.total,
-                            ", ".join(
-                                f"{name}={record.parameters[name]!r}" for name in self.design.names
-                            ),
-                            f"failed: {printable(record.error)}"
-                            if record.error
-                            else f"done in {record.seconds:.3g} s; {watch.words()}",
-                        )
+                        self._log_end(record, watch)
                         if throw and record.error:
                             raise outcome.exception or RuntimeError(record.error)
         finally:
             runs.close()
             self._warn_of_changes(code)
 
+    def _log_end(self, record: Record, watch: Watch) -> None:
+        """Log how a run ended."""
+        end = f"done in {record.seconds:.3g} s; {watch.words()}"
+        if record.error:
+            end = f"failed: {printable(record.error)}"
+        _log.log(
+            logging.WARNING if record.error else logging.INFO,
+            "study %s: [%d/%d] %s %s",
+            self.name,
+            watch.done,
+            watch.total,
+            ", ".join(f"{name}={record.parameters[name]!r}" for name in self.design.names),
+            end,
+        )
+
     def _claimed(self, todo: Mapping[str, Stored], owner: str) -> Iterator[Point | None]:
-        """Yield the points that this process claims, None while others compute the rest. What
-        another has stored meanwhile is left out."""
+        """Yield the points that this process claims, in rounds over those that are left; None after a
+        round in which other processes held all of them. Points that another process has stored
+        meanwhile are left out."""
         left = list(todo.items())
-        count = 1
+        batch_size = 1
         while left:
-            held = []
+            held = []  # by other processes
             at = 0
             while at < len(left):
-                batch = left[at : at + count]
-                at = at + count
+                batch = left[at : at + batch_size]
+                at = at + batch_size
                 begin = time.perf_counter()
                 claims = self._store.claim(self.name, [key for key, _ in batch], owner)
                 for item, ours in zip(batch, claims, strict=True):
@@ -443,8 +448,10 @@ class Study:
                         yield point
                     else:  # computed by another one since the list was made
                         self._store.release(owner, key)
-                # a claim takes a write to the disk: several runs at a time where they are short
-                count = min(2 * count, 64) if time.perf_counter() - begin < _AHEAD_S else 1
+                # a claim takes a write to the disk: several runs at a time where these, which are taken
+                # while points are yielded, are short
+                is_short = time.perf_counter() - begin < _AHEAD_S
+                batch_size = min(2 * batch_size, 64) if is_short else 1
             if len(held) == len(left):
                 yield None
             left = held
