@@ -19,6 +19,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._threads import in_colours, in_parts, scattering
+from adaptmg.discrete.problem import diagonal_places
 from adaptmg.multigrid.cycle import VISITS, Cycle, Recorder
 from adaptmg.multigrid.split_matrix import (
     SplitMatrix,
@@ -310,8 +311,9 @@ class CoarseFactors:
     shifted at the dofs that are not determined.
 
     Truncation leaves coarse dofs near contact that no remaining fine dof tells apart, mostly the
-    same ones each time: their shift stays, so that each matrix is factorised once. Of bodies that
-    only contact holds no dof is determined."""
+    same ones each time: their shift stays, so that each matrix is factorised once. Where a later
+    matrix is regular there, a shift of 1e-6 of the diagonal hardly changes the correction. Of bodies
+    that only contact holds no dof is determined."""
 
     #: dofs up to which dense factors are quicker
     DENSE = 1500
@@ -323,7 +325,7 @@ class CoarseFactors:
         scale = level.diagonal_sizes
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
         self.forget()
-        self._probe = self._scale * np.random.default_rng(0).standard_normal(level.n_dofs)
+        self._probe_load = self._scale * np.random.default_rng(0).standard_normal(level.n_dofs)
         # Any: made by renew before it is read
         self._solve: Callable[[np.ndarray], np.ndarray] | Any = None
         self._prepared: PreparedSolve | None = None
@@ -343,10 +345,11 @@ class CoarseFactors:
             )
             return
         self._solve = self._factors(self._shift)
-        # where a load of the size of the diagonal moves a dof by more than this, it is not determined
-        singular = ~(np.abs(self._solve(self._probe)) < 1 / checks.ROUNDING)
-        if singular.any():
-            self._shift = np.where(singular, checks.SIX_DIGITS * self._scale, self._shift)
+        # a random load of the size of the diagonal moves a dof by about 1, or by 1 / rounding and more
+        # where nothing but rounding determines it
+        undetermined = ~(np.abs(self._solve(self._probe_load)) < 1 / checks.ROUNDING)
+        if undetermined.any():
+            self._shift = np.where(undetermined, checks.SIX_DIGITS * self._scale, self._shift)
             self._solve = self._factors(self._shift)
 
     def _factors(self, shift: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -535,9 +538,8 @@ def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.bsr_array:
     sizes = np.zeros((level.n_nodes, level.dim))
     np.add.at(sizes, row, np.abs(matrix.data).sum(axis=2))
     node, component = np.nonzero(sizes <= checks.ROUNDING * scale.reshape(sizes.shape))
-    matrix.data[np.flatnonzero(row == matrix.indices)[node], component, component] = scale[
-        level.dim * node + component
-    ]
+    place = diagonal_places(matrix)[node]
+    matrix.data[place, component, component] = scale[level.dim * node + component]
     return matrix
 
 

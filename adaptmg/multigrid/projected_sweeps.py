@@ -234,12 +234,17 @@ def _move_master(
     u,
     residual,
 ):
-    """Move a master by a change d and its followers j back by -w_j d, so that these stay where they
-    are, if all are open and stay so; return whether it was done."""
+    """Move a master by d, and the relative displacements of its followers j by -w_j d, so that these
+    stay where they are: with D, 1 at the master and -w_j at each follower, the energy is least for
+    d = (D'AD)^-1 D'r, of which the inverse is ``master_inverse``.
+
+    It is done only if all followers are open before and after it, and have no Tresca limit, which
+    would resist the change of their slip without contact; return whether it was done."""
     dim = np.uint64(len(zero))
     size = dim * dim
     begin = np.uint64(follow_indptr[position])
     end = np.uint64(follow_indptr[position + ONE])
+    # D'r, while all followers are open
     force = read(residual, dim * master, zero)
     for entry in range(begin, end):
         follower = np.uint64(nodes[followers[entry]])
@@ -252,6 +257,7 @@ def _move_master(
             force, multiply(read(weights, dim * entry, zero), read(residual, dim * follower, zero))
         )
     change = times(master_inverse, size * position, force)
+    # they stay open
     for entry in range(begin, end):
         contact = np.uint64(contact_of[nodes[followers[entry]]])
         follower_change = negative(multiply(read(weights, dim * entry, zero), change))
@@ -379,33 +385,17 @@ class Interface:
         n = level.n_nodes
         dim = level.dim
         self.dim = dim
-        ones = np.ones(len(level.lower_indices))
-        # the entries of L are numbered from 1 in the order of sweeps; rows here are in that of the nodes
-        lower_entries = sparse.csr_array(
-            (np.arange(1, len(ones) + 1), level.lower_indices.astype(np.int32), level.lower_indptr),
-            shape=(n, n),
+        # L by nodes; its entries are the numbers of its blocks, from 1 (0 is no entry)
+        numbers = np.arange(1, len(level.lower_indices) + 1)
+        lower = sparse.csr_array(
+            (numbers, level.lower_indices.astype(np.int32), level.lower_indptr), shape=(n, n)
         )[level.strips.rank]
-        lower_pattern = sparse.csr_array(
-            (ones, lower_entries.indices, lower_entries.indptr), shape=(n, n)
-        )
-        is_near = (np.diff(coupling.weights.indptr) > 0).astype(float)
+        is_near = np.diff(coupling.weights.indptr) > 0
         for _ in range(self.LAYERS):
-            is_near = ((is_near + lower_pattern @ is_near + lower_pattern.T @ is_near) > 0).astype(
-                float
-            )
+            is_near = is_near | (lower @ is_near + lower.T @ is_near > 0)
         self.nodes = np.flatnonzero(is_near).astype(np.int32)
         place = places_of(self.nodes, n, np.int32)
-        # the rows without diagonal: entries of L, and of L' (negative), whose blocks are transposed
-        rows = sparse.csr_array(
-            lower_entries[self.nodes] - sparse.csr_array(lower_entries[:, self.nodes].T)
-        )
-        rows.sort_indices()
-        self.indptr = rows.indptr.astype(np.int64)
-        self.indices = rows.indices.astype(np.uint32)
-        blocks = level.lower.reshape(-1, dim, dim)[np.abs(rows.data) - 1]
-        self.blocks = np.where(
-            (rows.data < 0)[:, None, None], blocks.transpose(0, 2, 1), blocks
-        ).reshape(-1)
+        self._set_rows(level, lower)
         self.diagonal = level.diagonal.reshape(-1, dim * dim)[self.nodes].reshape(-1)
         self._follow(coupling, place, fixed)
         # fixed components stay where they are, though followers pull at them
@@ -416,19 +406,33 @@ class Interface:
         self.backward = self.forward[::-1].copy()
         self.nonzeros = len(self.blocks) + len(self.diagonal)
 
+    def _set_rows(self, level: SplitMatrix, lower: sparse.csr_array) -> None:
+        """Set the rows of the nodes in L + L', without the diagonal; ``lower`` has the numbers of the
+        blocks of L. Blocks of L' are those of L, transposed."""
+        dim = self.dim
+        # the numbers of blocks of L' are negative
+        rows = sparse.csr_array(lower[self.nodes] - sparse.csr_array(lower[:, self.nodes].T))
+        rows.sort_indices()
+        self.indptr = rows.indptr.astype(np.int64)
+        self.indices = rows.indices.astype(np.uint32)
+        blocks = level.lower.reshape(-1, dim, dim)[np.abs(rows.data) - 1]
+        in_transpose = rows.data < 0
+        blocks[in_transpose] = blocks[in_transpose].transpose(0, 2, 1)
+        self.blocks = blocks.reshape(-1)
+
     def _follow(self, coupling: Coupling, place: np.ndarray, fixed: np.ndarray) -> None:
         """Set the followers of each node, the slave nodes that its motion carries along, and their
         weights W; slave nodes have none. Where all of them are open, the master is moved alone."""
         by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
-        follows = np.diff(coupling.weights.indptr)[self.nodes] > 0
-        is_follower = ~np.repeat(follows, np.diff(by_master.indptr))
-        self.follow_indptr = np.concatenate([[0], np.cumsum(is_follower)])[by_master.indptr].astype(
-            np.int32
-        )
-        slave_nodes = by_master.indices[is_follower]
+        counts = np.diff(by_master.indptr)
+        is_slave = np.diff(coupling.weights.indptr)[self.nodes] > 0
+        self.follow_indptr = np.append(0, np.cumsum(np.where(is_slave, 0, counts))).astype(np.int32)
+        # entries in rows of masters
+        of_master = np.repeat(~is_slave, counts)
+        slave_nodes = by_master.indices[of_master]
         self.followers = place[slave_nodes]
         free = ~fixed.reshape(-1, coupling.dim)[slave_nodes]
-        self.follow_weights = (by_master.data[is_follower, None] * free).reshape(-1)
+        self.follow_weights = (by_master.data[of_master, None] * free).reshape(-1)
 
     def _master_blocks(self, place: np.ndarray) -> np.ndarray:
         """Return the blocks D'AD (n, dim, dim), D the motion of a node that leaves its followers where

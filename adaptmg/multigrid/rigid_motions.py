@@ -245,9 +245,11 @@ class _Descent:
         """Move the values of the contact nodes by a combination of motions (m,); nodes that are
         ``closed`` or ``held`` afterwards are so to the bit."""
         gap = self.contact.gap
-        normal = np.maximum(self.values[:, 0], gap)  # springs lie deeper than the gap
+        # a closed node keeps its depth, on a spring beyond the gap; one that closes now gets the gap
+        depth = np.maximum(self.values[:, 0], gap)
         self.values += self.motions.at_contact @ change
-        self.values[:, 0] = np.where(closed, normal, np.minimum(self.values[:, 0], gap))
+        up_to_gap = np.minimum(self.values[:, 0], gap)
+        self.values[:, 0] = np.where(closed, depth, up_to_gap)
         self.values[:, 1:] = np.where(held[:, None], self.reference, self.values[:, 1:])
 
     def _direction(

@@ -274,7 +274,8 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
     matrix = hierarchy.finest.matrix
     fine = hierarchy.finest.discrete
     result = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)]
-    # of a chain of Galerkin products, of which a discretised matrix begins a new one
+    # the prolongation of the last product, whose idle nodes the next product leaves out; None after a
+    # discretised matrix, which has none
     finer = None
     for above, level, nodal in zip(
         reversed(hierarchy.levels[1:]),
@@ -282,24 +283,27 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
         reversed(prolongations),
         strict=True,
     ):
-        if level.discrete_or_none is None:
+        coarse = level.discrete_or_none
+        if coarse is None:
+            # a coarse space, made from the finest matrix with its products
             matrix = level.matrix
             fixed = np.zeros(level.matrix.shape[0], dtype=bool)
-        elif not level.discrete.between_bodies and (
+            result.insert(0, split(matrix, fixed))
+            continue
+        if not coarse.between_bodies and (
             _of_nested_elements(hierarchy, above, level)
-            or _nested(above, matrix, nodal, level.discrete.matrix)
+            or _nested(above, matrix, nodal, coarse.matrix)
         ):
-            matrix = level.discrete.matrix
-            fixed = level.discrete.fixed
+            matrix = coarse.matrix
             finer = None
         else:
+            # P'AP without the fixed dofs of the finer level and without its idle nodes; all levels above
+            # a discretised one are discretised, too
+            free_matrix = _without_fixed(matrix, cast("DiscreteProblem", fine), nodal, coarse)
             finer = without_idle_rows(nodal, finer)
-            # a discretised level: all levels above are discretised, too
-            problem = cast("DiscreteProblem", fine)
-            matrix = coarse_matrix(_without_fixed(matrix, problem, nodal, level.discrete), finer)
-            fixed = level.discrete.fixed
-        fine = level.discrete_or_none
-        result.insert(0, split(matrix, fixed))
+            matrix = coarse_matrix(free_matrix, finer)
+        fine = coarse
+        result.insert(0, split(matrix, coarse.fixed))
     return result
 
 
@@ -520,13 +524,15 @@ def distribute(
     inverse,
 ):
     """Distribute blocks into L, U (unless it is empty), D and its inverse (see
-    :func:`invert_block`), without the couplings of fixed dofs; blocks of a duplicate or missing
-    diagonal are summed or zero. ``held`` (n_nodes,) tells which nodes have
-    fixed dofs."""
+    :func:`invert_block`); blocks of a duplicate or missing diagonal are summed or zero. The couplings
+    of fixed dofs are zeroed in a second pass over the rows that have any, which are few. ``held``
+    (n_nodes,) tells which nodes have fixed dofs. Integers are int64 where :func:`_mask` and
+    :func:`invert_block` get them, which would be compiled again for other ones."""
     dim = len(zero)
     block_size = np.int64(len(zero) ** 2)
     size = np.uint64(block_size)
     with_upper = len(upper_indptr) > 0
+    # the diagonal block, which its inversion destroys, and the sizes of its pivots
     block = np.empty(block_size)
     scale = np.empty(dim)
     for place in range(first, last):
@@ -572,9 +578,7 @@ def distribute(
             block[c] = diagonal[block_at + c]
         for a in range(dim):
             scale[a] = abs(block[a * dim + a])
-        invert_block(
-            np.int64(dim), block, scale, inverse, block_at
-        )  # the length of a tuple would be compiled apart
+        invert_block(np.int64(dim), block, scale, inverse, block_at)
 
 
 @inner_kernel

@@ -339,14 +339,16 @@ class TruncatedContact:
         unknowns: np.ndarray,
     ) -> None:
         """Make a corrected iterate admissible, in place, by a user-defined function of the
-        conditions and of local values (n_contact, dim) before and after the correction; truncated
-        components stay as before."""
+        conditions and of local values (n_contact, dim) before and after the correction.
+
+        As :func:`project` does, closed nodes keep the gap, or on springs stay beyond it, open ones stop
+        at it, held ones do not slip, and driven ones keep their prescribed slip."""
         shape = len(self.nodes), self.dim
         frames = self.node_frames
         before = self.values.reshape(shape)
-        truncated = np.zeros(shape, dtype=bool)
         closed = self.codes & CLOSED != 0
         on_spring = self.spring > 0
+        truncated = np.zeros(shape, dtype=bool)  # components that stay as before
         truncated[:, 0] = closed & ~on_spring
         truncated[:, 1:] = (self.codes & TANGENTIAL == HELD)[:, None]
         dofs = self.dim * self.nodes[:, None] + np.arange(self.dim)
@@ -357,7 +359,7 @@ class TruncatedContact:
         )
         values = np.where(truncated, before, values)
         normal = self.conditions.clamped(values[:, 0])
-        # as in front of rigid surfaces, a correction opens no closed node and closes no open one
+        # the gap of a spring is no limit of the conditions, but a correction does not cross it
         same_side = np.where(closed, np.maximum(normal, self.gap), np.minimum(normal, self.gap))
         values[:, 0] = np.where(on_spring, same_side, normal)
         values[self.driven, 1:2] = 0.0

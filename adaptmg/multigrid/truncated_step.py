@@ -446,24 +446,26 @@ class TruncatedStep:
         if not (state.past or state.uniform):
             return None
         dim = self.coarse.dim
-        n = len(state.past)
         weights = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
         weights = np.concatenate([weights, self.pressures.weights])
-        changes = np.empty((n + len(state.uniform), len(coarse_residual)))
-        for change, (_, residual) in zip(changes, state.past, strict=False):
-            np.subtract(residual, coarse_residual, out=change)
-        for change, (_, of_uniform) in zip(changes[n:], state.uniform, strict=True):
-            change[:] = of_uniform
-        shares = least_weights(coarse_residual, changes, weights)
-        combined = (1.0 - shares[:n].sum()) * state.iterate
-        for share, (past, _) in zip(shares, state.past, strict=False):
-            # in place: one pass over long vectors
-            combined = linalg.blas.daxpy(past, combined, a=share)
-        for share, (pressures, _) in zip(shares[n:], state.uniform, strict=True):
-            combined[self._n_dofs :] += share * pressures
+        # R_j - R_0 of the earlier iterates, then of uniform pressures, which are changes themselves
+        changes = np.array(
+            [
+                *(residual - coarse_residual for _, residual in state.past),
+                *(change for _, change in state.uniform),
+            ]
+        )
+        alphas = least_weights(coarse_residual, changes, weights)
+        of_past, of_uniform = np.split(alphas, [len(state.past)])
+        # (1 - sum alpha_j) u + sum alpha_j u_j, in place: one pass over long vectors for each
+        combined = (1.0 - of_past.sum()) * state.iterate
+        for alpha, (iterate, _) in zip(of_past, state.past, strict=True):
+            combined = linalg.blas.daxpy(iterate, combined, a=alpha)
+        for alpha, (pressures, _) in zip(of_uniform, state.uniform, strict=True):
+            combined[self._n_dofs :] += alpha * pressures
         if not state.contact.admits(combined[: self._n_dofs]):
             return None
-        return combined, coarse_residual + shares @ changes
+        return combined, coarse_residual + alphas @ changes
 
     def _search(
         self, state: TruncatedState, proposed: np.ndarray, contact: TruncatedContact
@@ -573,12 +575,17 @@ class CoarseContact:
         self.stiffness = np.abs(triangles[:, row == column])
 
     def _spaces(self) -> Iterator[tuple[int, sparse.csr_array, np.ndarray]]:
-        """Yield the levels that may serve, finest first: the number, B, which is the prolongation from
-        there at contact nodes in their frames, and the coarse nodes that move these."""
+        """Yield the levels that may serve, finest first: the number, B, and the coarse nodes that move
+        contact nodes.
+
+        B (n_contact * dim, n_dofs coarse) gives the local values w of the contact nodes for coarse
+        unknowns e, w = B e = F P_1 P_2 ... e, with the frames F of the contact nodes and the
+        prolongations from level to level, in which fixed dofs do not move."""
         step = self.step
         dim = self.step.contact.dim
         dofs = dofs_of(step.contact.nodes, dim)
         frames = sparse.csr_array(block_diagonal(step.contact.node_frames))
+        # F, in the columns of the dofs of the contact nodes
         rows = sparse.csr_array(
             (frames.data, dofs[frames.indices], frames.indptr),
             shape=(len(dofs), step.matrix.n_dofs),
@@ -589,7 +596,8 @@ class CoarseContact:
             size = finer.matrix.n_dofs // finer.prolongation.shape[0]
             nodal = sparse.kron(finer.prolongation, sparse.eye_array(size), format="csr")
             rows = _without(rows, finer.matrix.fixed) @ nodal
-            if number > 0 and coarse.n_dofs > self.MOST:
+            is_coarsest = number == 0
+            if coarse.n_dofs > self.MOST and not is_coarsest:
                 continue
             moving = _without(rows, coarse.fixed)
             moving.eliminate_zeros()

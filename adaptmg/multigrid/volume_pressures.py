@@ -114,12 +114,10 @@ def _formed(problem: DiscreteProblem) -> tuple[DiscreteProblem, np.ndarray]:
     volumes = problem.volumes
     with np.errstate(divide="ignore"):
         kappa = np.minimum(1 / volumes.compliance, _MOST * volumes.modulus)
-    # B'A^-1 kappa~ B from its root
-    rows = sparse.diags_array(np.sqrt(kappa / volumes.areas), format="csr") @ volumes.rows
-    added = sparse.csr_array(rows.T @ rows)
-    whole = sparse.bsr_array(
-        problem.matrix + 0.5 * (added + added.T), blocksize=problem.matrix.blocksize
-    )
+    # B'A^-1 kappa~ B = R'R, which is symmetric to the bit
+    root = sparse.diags_array(np.sqrt(kappa / volumes.areas), format="csr") @ volumes.rows
+    added = sparse.csr_array(root.T @ root)
+    whole = sparse.bsr_array(problem.matrix + added, blocksize=problem.matrix.blocksize)
     matrix = indices_frozen(whole.sorted_indices())
     none = Volumes.none(problem.n_nodes, problem.dim)
     return problem.restructured(matrix=matrix, volumes=none), kappa
@@ -164,17 +162,18 @@ class Augmented:
     def accelerated(
         self, pressures: np.ndarray, past: list[tuple[np.ndarray, np.ndarray]]
     ) -> np.ndarray:
-        """Return the pressures with which the next solve begins: those of this solve recombined with
-        those of the ``past`` ones, a list that grows. Without that the mean pressure of an enclosed
-        body would converge with the rate 1 - kappa~ / kappa."""
+        r"""Return the pressures with which the next solve begins, by Anderson acceleration: those of the
+        last solves, recombined such that their changes :math:`c_j` by the solves have the least energy
+        :math:`|c_0 + \sum_j \alpha_j (c_j - c_0)|^2 A/(\lambda_1 + \mu)`. ``past`` has the pressures and
+        the changes of the earlier solves, newest first, and grows by those of this one. Without that
+        the mean pressure of an enclosed body would converge with the rate 1 - kappa~ / kappa."""
         past.insert(0, (pressures, pressures - self._start_pressures))
-        values, changes = map(np.array, zip(*past[:5], strict=True))  # the newest first
+        values, changes = map(np.array, zip(*past[:5], strict=True))
         if len(values) == 1:
             return pressures
-        weights = least_weights(
-            changes[0], changes[1:] - changes[0], self._volumes.areas / self._volumes.modulus
-        )
-        return pressures + weights @ (values[1:] - pressures)
+        energies = self._volumes.areas / self._volumes.modulus  # of squares of pressures
+        alphas = least_weights(changes[0], changes[1:] - changes[0], energies)
+        return pressures + alphas @ (values[1:] - pressures)
 
     def missed(self, solved: np.ndarray) -> float:
         """Return the deviation of the volume strains of a displacement from the pressures that this

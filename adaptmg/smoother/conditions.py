@@ -214,10 +214,14 @@ def _slip_along_held(
     contact: NodalContact, tau: np.ndarray, residual: np.ndarray, equations: Linearised
 ) -> Linearised:
     r"""Replace the equations, in place, of nodes that slip along a held first tangent, and return
-    them all. There |tau| > 0, and the second tangent has
+    them all. There the support gives :math:`\tau_1 \ne 0`, and :math:`z = \tau_2/|\tau|`. The friction
+    along the second tangent is :math:`q_2 = (s + \mu q_n)\,z`; with :math:`\partial z/\partial\tau_2 =
+    \tau_1^2/|\tau|^3 = (1 - z^2)/|\tau|` a Newton step has
 
-    .. math:: q_2 = (s + \mu p)\,\tau_2/|\tau|,\qquad \kappa = (s + \mu p)\,\tau_1^2/|\tau|^3 .
-    """
+    .. math:: (A_2 - \mu z A_n + \kappa)\,\delta = q_2 - z\,(s + \mu q_n),\qquad
+              \kappa = (s + \mu p)\,(1 - z^2)/|\tau| .
+
+    Along the first tangent the prescribed change is zero."""
     at = contact.driven
     if len(at):
         size = np.linalg.norm(tau[at], axis=1)

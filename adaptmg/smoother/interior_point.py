@@ -40,10 +40,9 @@ from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.smoother.system import Layer, NodalContact
 
-#: columns of a state: the pressure p, the gap y, the bound v on the slip
-_PRESSURE, _GAP, _SLIP_BOUND = 3, 4, 5
-#: columns of the forces p, q_1, q_2
-_FORCES = [3, 6, 7]
+#: columns of a state: the pressure p, the gap y, the bound v on the slip, the friction q_1 and q_2
+_PRESSURE, _GAP, _SLIP_BOUND, _FRICTION_1, _FRICTION_2 = range(3, 8)
+_FORCES = [_PRESSURE, _FRICTION_1, _FRICTION_2]
 #: steps in a row without a better iterate, after which a slack below SIX_DIGITS is at rounding: a hundredth and
 #: a hundred times of that slack change none of 119 solves, paths and loops (campaign constants)
 _IDLE = 4
@@ -377,10 +376,11 @@ class ContactDofs:
         self.free = np.flatnonzero(free.reshape(-1))
         self.shape = free.shape
         self.matrix = np.ascontiguousarray(matrix[np.ix_(self.free, self.free)])
-        # flat positions of entries between free dofs, in the blocks of nodes and in the matrix
+        # flat positions of the entries between free dofs of a node, in the blocks (n_contact, dim, dim)
+        # and in the matrix, whose rows and columns are the numbers of the dofs among the free ones
         number = (np.cumsum(free) - 1).reshape(free.shape)
-        in_matrix = len(self.free) * number[:, :, None] + number[:, None]
-        self._in_blocks = np.flatnonzero(free[:, :, None] & free[:, None])
+        in_matrix = len(self.free) * number[:, :, None] + number[:, None, :]
+        self._in_blocks = np.flatnonzero(free[:, :, None] & free[:, None, :])
         self._in_matrix = in_matrix.reshape(-1)[self._in_blocks]
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
@@ -548,7 +548,8 @@ def _right_sides(
 @kernel
 def _complete_change(state, gap, reference, limit, friction, compliance, terms, change):
     """Complete ``change`` (n, 8), whose columns w, w_1, w_2 are given, by the columns p, y, v, q_1,
-    q_2; return the longest step that keeps p, y >= 0, B >= |q_t| and v >= |tau|."""
+    q_2, the solution of the linearised equations (module) with the ``terms`` that they miss; return
+    the longest step that keeps p, y >= 0, B >= |q_t| and v >= |tau|."""
     longest = 1e30
     for i in range(len(state)):
         w, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
@@ -585,8 +586,8 @@ def _complete_change(state, gap, reference, limit, friction, compliance, terms, 
                 terms[i, 3] + b * d_2 + t_2 * mu * dp,
             )
             change[i, _SLIP_BOUND] = dv
-            change[i, 6] = dq_1
-            change[i, 7] = dq_2
+            change[i, _FRICTION_1] = dq_1
+            change[i, _FRICTION_2] = dq_2
             longest = min(
                 longest,
                 _longest_step(b, q_1, q_2, mu * dp, dq_1, dq_2),

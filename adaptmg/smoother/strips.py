@@ -65,21 +65,12 @@ class Strips:
         rows are ``stored`` in their order."""
         n = len(indptr) - 1
         numbering = np.arange(n, dtype=np.int32)
+        single = cls(numbering, numbering, [[(0, n)]])
         if block * len(indices) < threads.LARGE:
-            return cls(numbering, numbering, [[(0, n)]])
-        order = numbering
-        bounds = _bounds(indices[indptr[1:] - 1])
-        if len(bounds) <= FEWEST and stored and threads.several():
-            order = _by_distance(indptr, indices)
-            place = np.empty_like(order)
-            place[order] = numbering
-            bounds = _bounds(np.maximum.reduceat(place[indices], indptr[:-1])[order])
-        if len(bounds) <= FEWEST:
-            return cls(numbering, numbering, [[(0, n)]])
-        strips = [order[first:last] for first, last in pairwise(bounds)]
-        if order is not numbering:
-            # in a strip in the order of the numbers: neighbours in memory
-            strips = list(map(np.sort, strips))
+            return single
+        strips = _strips(indptr, indices, by_distance=stored and threads.several())
+        if len(strips) < FEWEST:
+            return single
         parts = [*strips[::2], *strips[1::2]]
         ends = np.cumsum([0, *map(len, parts)]).tolist()
         ranges = list(pairwise(ends))
@@ -99,16 +90,34 @@ class Strips:
         threads.in_colours(colours, kernel, self.order, *arguments, joined=True)
 
 
-def _bounds(last: np.ndarray) -> list[int]:
-    """Return the places at which strips begin, and n: ``last`` (n,) is the place of the last
-    neighbour of a node at each place."""
-    n = len(last)
+def _strips(indptr: np.ndarray, indices: np.ndarray, by_distance: bool) -> list[np.ndarray]:
+    """Return the nodes of the strips, which are ranges of the numbers of nodes, or, where these are too
+    few and ``by_distance`` allows it, ranges of the nodes in the order of their distance."""
+    numbering = np.arange(len(indptr) - 1, dtype=np.int32)
+    last_neighbour = indices[indptr[1:] - 1]  # columns are sorted
+    bounds = _bounds(last_neighbour)
+    if len(bounds) > FEWEST or not by_distance:
+        return [numbering[first:last] for first, last in pairwise(bounds)]
+    order = _by_distance(indptr, indices)
+    place = np.empty_like(order)
+    place[order] = numbering
+    last_neighbour = np.maximum.reduceat(place[indices], indptr[:-1])  # its place, by node
+    bounds = _bounds(last_neighbour[order])
+    # in a strip in the order of the numbers: neighbours in memory
+    return [np.sort(order[first:last]) for first, last in pairwise(bounds)]
+
+
+def _bounds(last_neighbour: np.ndarray) -> list[int]:
+    """Return the places at which strips begin, and n: ``last_neighbour`` (n,) is the place of the last
+    neighbour of the node at each place."""
+    n = len(last_neighbour)
     # nodes at places below k are coupled with places below reach[k] only
-    reach = np.append(0, np.maximum.accumulate(last) + 1)
+    reach = np.append(0, np.maximum.accumulate(last_neighbour) + 1)
     shortest = -(-n // (2 * threads.PARTS))
     bounds = [0]
     while bounds[-1] < n:
-        # two layers of neighbours: the next strip does not reach those before this one
+        # a strip from b to reach[reach[b]] or further: a node that is coupled with the strip before it
+        # lies below reach[b], and so its neighbours below reach[reach[b]], not in the next strip
         two_layers = int(reach[reach[bounds[-1]]])
         bounds.append(min(max(two_layers, bounds[-1] + shortest), n))
     return bounds

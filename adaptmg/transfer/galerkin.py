@@ -11,6 +11,7 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread, seeded
 from adaptmg.discrete.contact_nodes import checked_mask
+from adaptmg.discrete.problem import diagonal_places
 from adaptmg.mesh.arrays import mask_of
 
 
@@ -58,10 +59,8 @@ def coarse_matrix(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.b
         # dofs without stiffness get the mean diagonal of the others, in place: a sum would drop
         # blocks that vanish
         node, component = np.nonzero(empty.reshape(-1, dim))
-        on = np.flatnonzero(np.repeat(np.arange(coarse), np.diff(indptr)) == result.indices)
-        result.data[on[node], component, component] = (
-            diagonal[~empty].mean() if not empty.all() else 1.0
-        )
+        mean = diagonal[~empty].mean() if not empty.all() else 1.0
+        result.data[diagonal_places(result)[node], component, component] = mean
     # scipy would look through them again
     result.has_canonical_format = True
     return result
