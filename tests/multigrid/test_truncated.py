@@ -32,6 +32,27 @@ def exact(hierarchy: am.Hierarchy) -> am.Result:
 
 
 @pytest.mark.parametrize(
+    "solver", [NESTED, am.FullMultigrid(correction=am.Monotone()), am.ActiveSet()]
+)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_no_bit_depends_on_the_unit_of_force(dim, solver):
+    case = am.cases.greco_bar(law=am.Coulomb(0.4)) if dim == 2 else am.cases.greco_block()
+    results = []
+    # powers of two are exact; the small one makes the entries of a matrix less than one
+    for unit in (1.0, 2.0**-44):
+        problem = replace(
+            case,
+            material=replace(case.material, young=unit * case.material.young),
+            loads=[replace(load, value=unit * load.value) for load in case.loads],
+            reference={},
+        )
+        grids = am.Hierarchy.uniform(problem, (2, 4, 8) if dim == 2 else (1, 2, 4))
+        results.append(am.solve(grids, solver))
+    assert results[0].cycles == results[1].cycles
+    np.testing.assert_array_equal(results[0].displacement, results[1].displacement)
+
+
+@pytest.mark.parametrize(
     "transfer", [am.Interpolation(), am.L2(), am.PseudoL2(), am.QuasiInterpolation()], ids=str
 )
 def test_independent_meshes(transfer):
