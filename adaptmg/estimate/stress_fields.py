@@ -33,7 +33,15 @@ from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.discrete.supports import node_at
 from adaptmg.discrete.ties import TieForces
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, facet_keys, need_mesh
+from adaptmg.mesh.arrays import (
+    MeshArrays,
+    Surface,
+    element_facets,
+    facet_keys,
+    facet_order,
+    mask_of,
+    need_mesh,
+)
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import PointForce
 from adaptmg.solver.advice import CORNER
@@ -154,27 +162,25 @@ def neighbours(mesh: MeshArrays) -> Neighbours:
     n = mesh.n_nodes
     facets = element_facets(mesh.elements).reshape(-1, mesh.dim)
     keys = facet_keys(facets, n)
-    boundary_keys = facet_keys(mesh.facets, n)
-    order = np.argsort(keys)
-    keys = keys[order]
+    order = facet_order(facets, n)
+    keys = keys.take(order)
     same = np.flatnonzero(keys[1:] == keys[:-1])
-    inside = np.stack([order[same], order[same + 1]])
-    unpaired = np.ones(len(order), dtype=bool)
-    unpaired[inside] = False
-    place = np.minimum(np.searchsorted(keys, boundary_keys), len(keys) - 1)
-    without_element = np.flatnonzero(keys[place] != boundary_keys)
+    inside = np.stack([order.take(same), order.take(same + 1)])
+    boundary_keys = facet_keys(mesh.facets, n)
+    place = np.searchsorted(keys, boundary_keys)
+    n_elements = np.searchsorted(keys, boundary_keys, side="right") - place
+    without_element = np.flatnonzero(n_elements == 0)
     if len(without_element):
         facet = without_element[0]
         raise ValueError(
             f"mesh: boundary facet {facet} of nodes {mesh.facets[facet].tolist()} belongs to no element"
         )
-    side = order[place]
     # the number of a side over the number of sides of an element is that of the element
     return Neighbours(
         pairs=inside // n_sides,
         facets=facets.take(inside[0], axis=0),
-        owner=side // n_sides,
-        outer=unpaired[side],
+        owner=order.take(place) // n_sides,
+        outer=n_elements == 1,
     )
 
 
@@ -232,7 +238,9 @@ class Solved:
             for load in self.problem.loads
             if isinstance(load, PointForce)
         ]
-        return ~np.any(np.isin(self.mesh.elements, nodes), axis=1)
+        loaded = mask_of(np.array(nodes, dtype=np.int64), self.mesh.n_nodes)
+        # by corner: .1 ms for 38 000 triangles, by isin .5
+        return ~np.any(loaded.take(self.mesh.elements.T), axis=0)
 
     @cached_property
     def norm(self) -> float:
@@ -270,28 +278,24 @@ class Solved:
             raise ValueError(
                 f"result.reaction must have {forces.size} components, got {exerted.shape}"
             )
-        nodal_forces = load_vector(
-            self.mesh, self.problem.loads, self.problem.material, self.problem.elements
-        )
-        parts = self.discrete.parts_under(
-            self.discrete.relative_forces(nodal_forces),
-            unknowns,
-            strain_free=None,
-            volumes=self.discrete.volumes,
-        )
-        of_result, of_discrete, of_posed = (
-            self.discrete.inclined.free_part(load)  # supports bear the rest
-            for load in (
-                forces - self.discrete.relative_forces(exerted),
-                self.discrete.load,
-                parts["load"],
-            )
-        )
+        inclined = self.discrete.inclined  # supports bear what is not in the free part
+        of_result = inclined.free_part(forces - self.discrete.relative_forces(exerted))
         rounding = checks.ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
         size = max(euclidean_norm(forces), euclidean_norm(of_result))
         allowed = max(checks.SIX_DIGITS * size, rounding)
-        differences = [euclidean_norm(of_result - load) for load in (of_discrete, of_posed)]
-        if not min(differences) <= allowed:
+        expected = inclined.free_part(self.discrete.load)
+        if not euclidean_norm(of_result - expected) <= allowed:
+            nodal_forces = load_vector(
+                self.mesh, self.problem.loads, self.problem.material, self.problem.elements
+            )
+            parts = self.discrete.parts_under(
+                self.discrete.relative_forces(nodal_forces),
+                unknowns,
+                strain_free=None,
+                volumes=self.discrete.volumes,
+            )
+            expected = inclined.free_part(parts["load"])
+        if not euclidean_norm(of_result - expected) <= allowed:
             raise ValueError(
                 "result has other loads than those of hierarchy.problem: " + _OTHER_STEP
             )

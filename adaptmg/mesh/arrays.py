@@ -335,7 +335,8 @@ class Surface:
         """Return the area vectors (n, dim)."""
         start, *ends = [self.points.take(corners, axis=0) for corners in self.facets.T]
         if self.points.shape[1] == 2:
-            return (ends[0] - start)[:, ::-1] * [1.0, -1.0]
+            x, y = (ends[0] - start).T
+            return np.stack([y, -x], axis=1)
         a, b = [(end - start).T for end in ends]
         # the cross product, by numpy.cross 3 to 5 times as slow for 94k facets
         components = [a[k - 2] * b[k - 1] - a[k - 1] * b[k - 2] for k in range(3)]
@@ -344,7 +345,8 @@ class Surface:
     @cached_property
     def measures(self) -> np.ndarray:
         """Return the lengths (n,), m, or areas, m^2."""
-        return np.linalg.norm(self.vectors, axis=1)
+        # .4 ms for 57 000 facets, by norm(axis=1) 1.0
+        return np.sqrt(np.einsum("nd,nd->n", self.vectors, self.vectors))
 
     @property
     def sizes(self) -> np.ndarray:
@@ -682,18 +684,33 @@ def places_of(nodes: np.ndarray, n: int, dtype: DTypeLike = np.int64) -> np.ndar
     return places
 
 
+def _sorted_nodes(facets: np.ndarray) -> list[np.ndarray]:
+    """Return the nodes of facets (n, dim), the lowest (n,) of each first."""
+    nodes = np.ascontiguousarray(facets.T)
+    lowest = nodes.min(axis=0)
+    highest = nodes.max(axis=0)
+    middle = [nodes.sum(axis=0) - lowest - highest] if len(nodes) == 3 else []
+    return [lowest, *middle, highest]
+
+
 def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
     """Return one integer a facet, the same for every order of its nodes."""
     dim = facets.shape[1]
     if n_nodes > MOST_NODES[dim]:
         raise ValueError(f"a {dim}D mesh may have at most {MOST_NODES[dim]} nodes, got {n_nodes}")
-    nodes = np.ascontiguousarray(facets.T, dtype=np.int64)
-    lowest = nodes.min(axis=0)
-    highest = nodes.max(axis=0)
-    if dim == 2:
-        return pair_keys(lowest, highest, n_nodes)
-    middle = nodes.sum(axis=0) - lowest - highest
-    return pair_keys(pair_keys(lowest, middle, n_nodes), highest, n_nodes)
+    keys, *rest = _sorted_nodes(facets)
+    for nodes in rest:
+        keys = pair_keys(keys, nodes, n_nodes)
+    return keys
+
+
+def facet_order(facets: np.ndarray, n_nodes: int) -> np.ndarray:
+    """Return the order of facets (n, dim) by key, equal ones as they come, by counting nodes from the
+    highest to the lowest: 116 000 edges take 1.1 ms, a sort of their keys 3.2 to 5.6."""
+    order = np.arange(len(facets), dtype=np.int32)
+    for nodes in reversed(_sorted_nodes(facets)):
+        order = order.take(occurrences(nodes.take(order), n_nodes)[1])
+    return order
 
 
 def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
@@ -702,7 +719,7 @@ def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
     facets = element_facets(elements).reshape(-1, dim)
     keys = facet_keys(facets, n_nodes)
     # a facet of two elements stands there twice: once sorted, in adjacent rows
-    order = np.argsort(keys, kind="stable")
+    order = facet_order(facets, n_nodes)
     keys = keys[order]
     start = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
     counts = np.diff(np.r_[start, len(keys)])
