@@ -176,6 +176,15 @@ def test_coarse_spaces_of_a_bare_matrix_take_restricted_obstacles(made):
     if made == "prolongations":
         rows = [level.prolongation for level in grids.levels[1:]]
         spaces = am.Hierarchy.from_prolongations(problem, rows, contact=True)
+        # nodes of stored zeros follow nothing
+        full = [sparse.csr_array(np.ones(P.shape)) for P in rows]
+        for P, zeros in zip(rows, full, strict=True):
+            zeros.data[:] = P.toarray().reshape(-1)
+        padded = am.Hierarchy.from_prolongations(problem, full, contact=True)
+        for level, expected in zip(padded.levels, spaces.levels, strict=True):
+            contact = level.discrete.contact
+            np.testing.assert_array_equal(contact.nodes, expected.discrete.contact.nodes)
+            np.testing.assert_allclose(contact.gaps, expected.discrete.contact.gaps)
     else:
         spaces = am.Hierarchy.algebraic(problem, max_coarse=20, contact=True)
     rng = np.random.default_rng(0)
