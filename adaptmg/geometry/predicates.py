@@ -103,7 +103,14 @@ def _add(terms, n, value):
 @inner_kernel
 def _exact(points, a, b, c, d):
     """Return the value of ``in_circle``, or for d < 0 of ``turn``, with the right sign: all products
-    in the formulas above are added up without error, each difference as a sum of two terms."""
+    in the formulas above are added up without error, each difference as a sum of two terms.
+
+    With det_0(u, v) = u_x v_y, det_1(u, v) = u_y v_x and dot_0(u, v) = u_x v_x, dot_1(u, v) = u_y v_y
+    the products for k and m = 0, 1 are
+
+        of turn                   (1 - 2 k) det_k(b - a, c - a)
+        of in_circle, from d      (1 - 2 k) det_k(b - d, c - d) dot_m(b - a, c - a)
+        of in_circle, otherwise   (2 k - 1) det_k(b - a, c - a) dot_m(b - d, c - d)"""
     # each kernel that calls this one compiles it again: so arrays have one dimension, there is one loop,
     # and its bounds are unknown to the compiler, which would unroll it
     sums = np.empty(8 * _TERMS)
@@ -113,13 +120,12 @@ def _exact(points, a, b, c, d):
     two = points.shape[1]
     of_turn = d < 0
     for product in range(two if of_turn else 4 * two):
-        # det(from d) dot(from a) - det(from a) dot(from d): component k of one side and 1 - k of
-        # the other make the determinant, components m of both the scalar product
         k = product if of_turn else product // 4
         m = product // 2 % 2
         from_d = not of_turn and product % 2 == 1
         old[0] = 1.0 - 2.0 * k if of_turn or from_d else 2.0 * k - 1.0
         count = 1
+        # the factors f: (b - .)_k and (c - .)_(1 - k) of the determinant, (b - .)_m and (c - .)_m
         for f in range(two if of_turn else 2 * two):
             end = b if f % 2 == 0 else c
             start = d if from_d == (f < 2) and not of_turn else a

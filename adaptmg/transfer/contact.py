@@ -174,35 +174,43 @@ def between_levels(
             if name
         ]
         for nodes, rows in (*master_rows, *slave_rows):
-            if largest_entry((nodal[nodes] - rows).data) > CLIP:  # not on nested meshes
+            # on nested meshes the rows are the same up to rounding, and the matrix stays
+            if largest_entry((nodal[nodes] - rows).data) > CLIP:
                 nodal = with_contact_rows(nodal, nodes, rows)
     relative = relative_prolongation(nodal, coupling, coarse_problem.coupling)
-    # the second form: slave rows over coarse slave nodes only; ``surface`` replaces rows one boundary
-    # after the other
-    coarse_contact = coarse_problem.contact
     surface = relative
-    # coarse nodes that pass values to fine contact nodes without a master: contact nodes, whose
-    # bounds limit them, and held ones
-    may_pass = np.array(coarse_problem.fixed.reshape(-1, coarse.dim).all(axis=1))
-    may_pass[coarse_contact.nodes] = True
     # contact nodes that take over weights of tied nodes
     takes_over = np.diff(contact.taken_over.indptr) > 0
     for k, (nodes, rows) in enumerate(slave_rows):
-        coarse_slaves = coarse_contact.nodes[coarse_contact.boundary == k]
         if contact.masters[k] or takes_over[contact.boundary == k].any():
-            surface = with_contact_rows(
-                surface, nodes, _among(coarse_slaves, rows, fine.points[nodes], coarse.points)
-            )
-        elif contact_rows and not may_pass[rows.indices].all():
-            data = np.where(may_pass[rows.indices], rows.data, 0.0)
-            rows = sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
+            coarse_contact = coarse_problem.contact
+            coarse_slaves = coarse_contact.nodes[coarse_contact.boundary == k]
+            rows = _among(coarse_slaves, rows, fine.points[nodes], coarse.points)
             surface = with_contact_rows(surface, nodes, rows)
-    return LevelTransfer(relative, None if surface is nodal else surface)
+        elif contact_rows and (limited := _limited_rows(coarse_problem, rows)) is not None:
+            surface = with_contact_rows(surface, nodes, limited)
+    return LevelTransfer(relative, None if surface is relative else surface)
+
+
+def _limited_rows(
+    coarse_problem: DiscreteProblem, rows: sparse.csr_array
+) -> sparse.csr_array | None:
+    """Return the rows of contact nodes without a master, without the coarse nodes that would move them
+    beyond the obstacle; None if there are none of these. Contact nodes have bounds that prevent it, and
+    held nodes do not move."""
+    held = coarse_problem.fixed.reshape(-1, coarse_problem.dim).all(axis=1)
+    no_limit = np.array(~held)
+    no_limit[coarse_problem.contact.nodes] = False
+    dropped = no_limit[rows.indices]
+    if not dropped.any():
+        return None
+    data = np.where(dropped, 0.0, rows.data)
+    return sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
 
 
 def _crack_faces(mesh: MeshArrays, contact: ContactNodes) -> list[tuple[str, str]]:
-    """Return each face of a crack, and the other one: pairs, or called left and right, that share
-    nodes."""
+    """Return each face of a crack, and the other one. A crack is a contact pair, or a pair of boundaries
+    of one name that end in .left and .right, whose faces share nodes, those at its tips."""
     pairs = [
         *zip(contact.names, contact.masters, strict=True),
         *(
@@ -226,20 +234,22 @@ def _on_side(
     """Return the fine nodes on a face of a crack, and the inner ones between the fine and the
     coarse face that the prolongation ``nodal`` lets follow the opposite coarse face."""
     near = np.flatnonzero(abs(nodal) @ mask_of(coarse.boundary_nodes(other), coarse.n_nodes))
-    # between the faces: outside of the coarse one (normals point out), inside of the fine one
-    between = np.ones(len(near), dtype=bool)
-    for mesh, sign in ((coarse, 1), (fine, -1)):
-        surface = mesh.surface(face)
-        facet, weights, _ = BoxTree(mesh.points, surface.facets).nearest(fine.points[near])
-        foot = np.einsum("nk,nkd->nd", weights, mesh.points[surface.facets[facet]])
-        between &= (
-            sign * np.einsum("nd,nd->n", fine.points[near] - foot, surface.normals[facet]) > 0
-        )
-        # a node ahead of a tip, whose foot is a node of both faces, is on neither side
-        between &= (weights * np.isin(surface.facets[facet], mesh.boundary_nodes(other))).sum(
-            axis=1
-        ) < 1
-    return np.union1d(fine.boundary_nodes(face), near[between])
+    points = fine.points[near]
+    outside_coarse = _height(coarse, face, other, points) > 0
+    inside_fine = _height(fine, face, other, points) < 0
+    return np.union1d(fine.boundary_nodes(face), near[outside_coarse & inside_fine])
+
+
+def _height(mesh: MeshArrays, face: str, other: str, points: np.ndarray) -> np.ndarray:
+    """Return the distances (n,), m, of points from a face of a crack, along its normals, which point
+    out of the body; 0 ahead of a tip, where the nearest point of the face is a node of both faces."""
+    surface = mesh.surface(face)
+    facet, weights, _ = BoxTree(mesh.points, surface.facets).nearest(points)
+    corners = surface.facets[facet]
+    foot = np.einsum("nk,nkd->nd", weights, mesh.points[corners])
+    height = np.einsum("nd,nd->n", points - foot, surface.normals[facet])
+    weight_on_other = (weights * np.isin(corners, mesh.boundary_nodes(other))).sum(axis=1)
+    return np.where(weight_on_other < 1, height, 0.0)
 
 
 def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:

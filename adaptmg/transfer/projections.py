@@ -412,7 +412,8 @@ def clip_elements(
     scaled to volume 1. Entries are written from position ``count`` on: fine element, coarse node
     and the integrals with the shape functions of the corners. ``covered`` gets the share of each
     element that the coarse mesh covers; ``marker`` (n_coarse,) is -1 throughout on entry and
-    exit."""
+    exit. Return the number of the first element whose entries did not fit into the tables, and the
+    number of entries before it."""
     k = elements.shape[1]
     mu = np.empty((k, k))
     moments = np.empty((k, k))
@@ -429,11 +430,10 @@ def clip_elements(
         full = False
         for at in range(overlapping(boxes, box, coarse_points, coarse, stack, candidates)):
             s = candidates[at]
-            # faces of the fine element, then of the coarse one; the second call leaves in mu the
-            # coarse coordinates of the fine corners
-            if _apart(coarse_points, coarse[s], fine_maps, e, mu) or _apart(
-                points, elements[e], maps, s, mu
-            ):
+            if _apart(coarse_points, coarse[s], fine_maps, e, mu):
+                continue
+            # the second test leaves in mu the coarse coordinates of the fine corners
+            if _apart(points, elements[e], maps, s, mu):
                 continue
             share = common_moments(mu, k, pieces, levels, moments)
             full = count + k > len(columns)
@@ -446,6 +446,7 @@ def clip_elements(
             marker[columns[at]] = -1
             element[at] = e
         if full:
+            # the entries of this element are written again, from ``start`` on, in longer tables
             return c, start
     return len(chosen), count
 
