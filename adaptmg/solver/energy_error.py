@@ -380,12 +380,11 @@ class _GalerkinSolution:
             self.residual = linalg.blas.daxpy(direction.image, self.residual, a=-change)
         return self.residual
 
-    def orthonormalise(
-        self, newest: _Direction, gradient: np.ndarray, least: float
-    ) -> np.ndarray | None:
-        """Make a direction orthogonal to the stored ones and of length 1 in the energy, in place. Return
-        the products (k + 1,) of the direction as it was with the k stored ones and with the new one;
-        None if the square of the last one is not above ``least``."""
+    def extend(self, newest: _Direction, gradient: np.ndarray, least: float) -> np.ndarray | None:
+        """Solve with one direction more, which is made orthogonal in energy to the stored ones and of
+        length 1, in place. Return the energy products (k + 1,) of the direction as it was with the k
+        stored ones and with the new one; None, without a solution, if the square of the last one is
+        not above ``least`` or the equations are singular: the status leaves a motion free."""
         overlaps = np.array([direction.values @ gradient for direction in self.directions])
         length_squared = float(newest.values @ gradient - overlaps @ overlaps)
         if not length_squared > least:
@@ -393,37 +392,26 @@ class _GalerkinSolution:
         for overlap, direction in zip(overlaps, self.directions, strict=True):
             newest.add(-overlap, direction)
         newest.scale(1 / np.sqrt(length_squared))
-        return np.append(overlaps, np.sqrt(length_squared))
-
-    def extend(self, newest: _Direction) -> bool:
-        """Solve with one direction more; return False, without a change, if the equations are
-        singular."""
         if self.symmetric:
             self.directions = [newest]
             self._changes = [float(newest.values @ self.residual)]
             self.energy += self._changes[0] ** 2
         else:
-            directions = [*self.directions, newest]
-            k = len(directions)
-            self._matrix[:k, k - 1] = [direction.values @ newest.image for direction in directions]
-            self._matrix[k - 1, :k] = [newest.values @ direction.image for direction in directions]
+            self.directions = [*self.directions, newest]
+            k = len(self.directions)
+            self._matrix[:k, k - 1] = [other.values @ newest.image for other in self.directions]
+            self._matrix[k - 1, :k] = [newest.values @ other.image for other in self.directions]
             self._loads[k - 1] = newest.values @ self.load
             before = np.append(self._coefficients, 0.0)
             try:
-                changes = np.linalg.solve(self._matrix[:k, :k], self._loads[:k]) - before
+                self._changes = np.linalg.solve(self._matrix[:k, :k], self._loads[:k]) - before
             except np.linalg.LinAlgError:
-                return False
-            self.directions = directions
-            self._changes = changes
-            self._coefficients = before + changes
+                return None
+            self._coefficients = before + self._changes
             self.energy = float(self._coefficients @ self._coefficients)
         for change, direction in zip(self._changes, self.directions, strict=True):
             self.at_contact += change * direction.at_contact
-        return True
-
-    def correction(self, energy: float) -> HeldCorrection:
-        """Return the solution as a correction with an energy, N m."""
-        return HeldCorrection(energy, *self.at_contact)
+        return np.append(overlaps, np.sqrt(length_squared))
 
 
 def _estimated(
@@ -444,16 +432,16 @@ def _estimated(
         newest, gradient = equations.direction(residual)
         product = float(residual[: equations.n] @ newest.values[: equations.n])  # r.Pr
         if not product > 0.0 and not len(equations.volumes):
-            return solution.correction(solution.energy), True
-        column = solution.orthonormalise(newest, gradient, checks.SIX_DIGITS * product)
-        if column is None or not solution.extend(newest):
-            return solution.correction(float("inf")), False  # a motion is free
+            return HeldCorrection(solution.energy, *solution.at_contact), True
+        column = solution.extend(newest, gradient, checks.SIX_DIGITS * product)
+        if column is None:
+            return HeldCorrection(float("inf"), *solution.at_contact), False
         energy = solution.energy
         energies.append(energy)
         if len(equations.volumes):
             last_changes = [abs(energy - before) for before in energies[-3:-1]]
             if step >= _LEAST and max(last_changes) <= _CALM * energy:
-                return solution.correction(energy), True
+                return HeldCorrection(energy, *solution.at_contact), True
             continue
         R[step - len(column) : step, step - 1] = column / np.sqrt(product)
         ritz_before = ritz
@@ -469,8 +457,8 @@ def _estimated(
             and ritz >= _SETTLED * ritz_before
         )
         if settled or (step > 1 and most_energy <= (min(step, _LEAST) * _SURER) ** 2 * negligible):
-            return solution.correction(most_energy), True
-    return solution.correction(solution.energy), False
+            return HeldCorrection(most_energy, *solution.at_contact), True
+    return HeldCorrection(solution.energy, *solution.at_contact), False
 
 
 def _factorised(

@@ -363,28 +363,22 @@ class _Pickler(pickle.Pickler):
     instances: dict[int, tuple[int, object]]
 
     def persistent_id(self, value: typing.Any) -> object:
-        """Return the value that replaces an object in the pickle; None: the object is pickled. The first
-        of the replacements below that knows the object decides."""
+        """Return the value that replaces an object in the pickle; None: the object is pickled."""
         if type(value) in _PICKLED:
             return None
-        for replacement in (self._name, self._builtin, self._compiled, self._external):
-            replaced = replacement(value)
-            if replaced is not None:
-                return replaced
-        return self._instance(value)
-
-    def _name(self, value: typing.Any) -> object:
-        """Return the name of a function, class or module."""
         if isinstance(value, _NAMED):
             return self.found.name_of(value)
         if type(value) is BuiltinFunctionType and isinstance(value.__self__, ModuleType):
             return self.found.name_of(value.__self__), value.__name__
-        return None
+        content = self._content(value)
+        return self._instance(value) if content is None else content
 
-    def _builtin(self, value: typing.Any) -> object:
-        """Return the content of a builtin object whose pickle depends on the order of a hash, or that
-        has none."""
+    def _content(self, value: typing.Any) -> object:
+        """Return what an object without a pickle is compared by, or one whose pickle may change though
+        the object does not; PicklingError if it cannot be compared, None for other objects. An object
+        is of one of these kinds at most."""
         kind = type(value)
+        # builtin objects: the pickle of a set depends on the order of a hash
         if kind in (set, frozenset):
             return kind.__name__, sorted(_pickled(item, self.found, self.files) for item in value)
         if kind is CodeType:
@@ -393,23 +387,15 @@ class _Pickler(pickle.Pickler):
             return dict(value)
         if kind in _COMPARED_BY:
             return kind.__name__, [getattr(value, name) for name in _COMPARED_BY[kind]]
-        return None
-
-    def _compiled(self, value: typing.Any) -> object:
-        """Return the source of what numba compiles."""
-        if not _module_of(type(value)).startswith("numba."):
-            return None
-        if hasattr(value, "jit_methods"):  # of a jitclass
-            return str(value.struct), value.jit_methods, value.jit_props, value.jit_static_methods
-        inner = getattr(value, "py_func", getattr(value, "__wrapped__", None))
-        if isinstance(inner, FunctionType):
-            return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
-        return None
-
-    def _external(self, value: typing.Any) -> object:
-        """Return what stands for an object with a state outside of the run, or for one of a library whose
-        pickle changes; PicklingError for one that cannot be compared."""
-        kind = type(value)
+        # what numba compiles: its source
+        if _module_of(kind).startswith("numba."):
+            if hasattr(value, "jit_methods"):  # of a jitclass
+                methods = value.jit_methods, value.jit_props, value.jit_static_methods
+                return str(value.struct), *methods
+            inner = getattr(value, "py_func", getattr(value, "__wrapped__", None))
+            if isinstance(inner, FunctionType):
+                return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
+        # objects with a state outside of the run
         if value is _NUMPY_GENERATOR:  # its state belongs to the library
             return "numpy.random"
         if isinstance(value, _REFUSED) or isinstance(getattr(value, "__self__", None), _REFUSED):
@@ -436,9 +422,8 @@ class _Pickler(pickle.Pickler):
         leaves_out = bool(_measured(kind)) or any(
             type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values()
         )
-        pickles_attributes = kind.__reduce__ is object.__reduce__
-        is_own = self.found.is_own(_module_of(kind), kind)
-        if not is_own and not (leaves_out and pickles_attributes):
+        pickles_all = leaves_out and kind.__reduce__ is object.__reduce__
+        if not self.found.is_own(_module_of(kind), kind) and not pickles_all:
             return None
         if id(value) in self.instances:
             return "again", self.instances[id(value)][0]
