@@ -27,6 +27,7 @@ or contact hold, those of the stresses of the linear elements there, 'stresses',
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import cast
@@ -387,11 +388,12 @@ class FreeBodies:
                 total -= self._resultants(forces, np.full(len(self.body), master), shift)
         return np.where(self.compared, total, 0.0)
 
-    def _contact_forces(self, discrete: DiscreteProblem, claimed: np.ndarray) -> list[np.ndarray]:
-        """Return the forces (n_nodes, dim) on the slave of each contact boundary: ``claimed`` (n_nodes,
+    def _contact_forces(
+        self, discrete: DiscreteProblem, claimed: np.ndarray
+    ) -> Iterator[np.ndarray]:
+        """Yield the forces (n_nodes, dim) on the slave of each contact boundary: ``claimed`` (n_nodes,
         dim) at its contact nodes, with their shares at nodes of which these take over a part."""
         contact = discrete.contact
-        result = []
         for k in range(len(contact.names)):
             on_boundary = contact.boundary == k
             nodes = contact.nodes[on_boundary]
@@ -399,20 +401,17 @@ class FreeBodies:
             forces[nodes] = claimed[nodes]
             if contact.taken_over.shape[1]:
                 forces += contact.taken_over[on_boundary].T @ claimed[nodes]
-            result.append(forces)
-        return result
+            yield forces
 
-    def _tie_forces(self, discrete: DiscreteProblem, tying: np.ndarray) -> list[np.ndarray]:
-        """Return the forces (n_nodes, dim) on the slave of each tie: ``tying`` (n_nodes, dim) at its
+    def _tie_forces(self, discrete: DiscreteProblem, tying: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the forces (n_nodes, dim) on the slave of each tie: ``tying`` (n_nodes, dim) at its
         tied nodes, and -W' times these at nodes of the slave surface that tied nodes follow."""
-        result = []
         for _, _, nodes, slave_nodes in discrete.ties:
             weights = sparse.csr_array(cast("Coupling", discrete.coupling).weights[nodes])
             forces = np.zeros(tying.shape)
             forces[nodes] = tying[nodes]
             forces[slave_nodes] -= weights[:, slave_nodes].T @ tying[nodes]
-            result.append(forces)
-        return result
+            yield forces
 
     def _resultants(
         self, forces: np.ndarray, body: np.ndarray, shift: np.ndarray | None = None

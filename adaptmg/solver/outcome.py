@@ -28,7 +28,7 @@ from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import advise, advise_on_adhesion, advise_on_law
 from adaptmg.solver.certificate import Certificate
-from adaptmg.solver.examine import Examiner
+from adaptmg.solver.examine import Examined, Examiner
 from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
@@ -218,7 +218,6 @@ def result_of(
             pressure=volumes.of_elements(pressures),
             volume_energy=0.5 * volumes.energy(pressures),
         )
-    mesh = grids.finest.mesh
     posed = grids.posed
     supports = {}
     springs = {}
@@ -230,34 +229,20 @@ def result_of(
             examined.displacement,
             posed.problem.axisymmetric,
         )
+    outcome = _checked(outcome, examined, solver)
     status = outcome.status
-    rtol = outcome.rtol
-    error = outcome.error_estimate
-    checked = examined.checked
-    if checked is not None:
-        status = _confirmed(outcome, examined.residual, checked, getattr(solver, "stop", "error"))
-        error = np.fmax(error, checked.energy_error)  # NaN: the solver has no estimate
-        least = checked.energy_rounding
-        if status.ok and 0 < rtol < checked.energy_error <= least:
-            default = "the default " if rtol == getattr(type(solver), "rtol", None) else ""
-            advise(
-                "rounding",
-                f"{default}rtol={rtol:.3g} is below what double precision reaches on these bodies, {least:.1e} "
-                "(slender ones answer to rounding with their condition): the result has that tolerance, in "
-                "result.rtol",
-            )
-            rtol = least
     if status in (Status.CYCLING, Status.STALLED) or (run.fallback and not status.ok):
         advise_on_free_motions(examiner.discrete, examined.contact)
     if status.ok:
         advise_on_adhesion(examiner.discrete, examined.contact)
     advise_on_law(examiner.discrete, examined.contact)
+    # rows of different methods have different columns
     keys = dict.fromkeys(chain.from_iterable(run.history))
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
     return Result(
         displacement=examined.displacement,
         reaction=examined.reaction,
-        checked=checked,
+        checked=examined.checked,
         status=status,
         cycles=outcome.cycles,
         contact=replace(
@@ -265,9 +250,9 @@ def result_of(
         ),
         work_units=run.work_units,
         residual=examined.residual,
-        error_estimate=float(error),
+        error_estimate=float(outcome.error_estimate),
         rate=outcome.rate,
-        rtol=rtol,
+        rtol=outcome.rtol,
         history=history,
         timings=run.timings,
         path=run.path,
@@ -276,7 +261,7 @@ def result_of(
         solver_name="" if solver is None else label(solver),
         fallback=run.fallback,
         choice=choice,
-        mesh=mesh,
+        mesh=grids.finest.mesh,
         start_work_units=run.start_work_units,
         versions=dict(versions()),
         stress_data=stress_data,
@@ -285,6 +270,30 @@ def result_of(
         ties=examined.ties,
         pressures=pressures,
     )
+
+
+def _checked(outcome: Outcome, examined: Examined, solver: Solver | None) -> Outcome:
+    """Return an outcome with what the certificate says: a status that it contradicts changes, the error
+    is at least that of the certificate, and a tolerance below what double precision reaches is raised to
+    that, with a warning."""
+    checked = examined.checked
+    if checked is None:
+        return outcome
+    status = _confirmed(outcome, examined.residual, checked, getattr(solver, "stop", "error"))
+    # NaN where the solver has no estimate
+    error_estimate = float(np.fmax(outcome.error_estimate, checked.energy_error))
+    rtol = outcome.rtol
+    least = checked.energy_rounding
+    if status.ok and 0 < rtol < checked.energy_error <= least:
+        default = "the default " if rtol == getattr(type(solver), "rtol", None) else ""
+        advise(
+            "rounding",
+            f"{default}rtol={rtol:.3g} is below what double precision reaches on these bodies, {least:.1e} "
+            "(slender ones answer to rounding with their condition): the result has that tolerance, in "
+            "result.rtol",
+        )
+        rtol = least
+    return replace(outcome, status=status, error_estimate=error_estimate, rtol=rtol)
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:
