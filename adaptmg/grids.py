@@ -46,6 +46,8 @@ class Grids:
         if self.problem is not None:
             check_problem(self.problem)
         for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
+            if not fine.complete:
+                continue  # its prolongation is made of these levels when it is read
             shape = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
                 shape = (checks.shape_of(fine.matrix)[0], checks.shape_of(coarse.matrix)[0])

@@ -21,8 +21,11 @@ from adaptmg.grids import Grids
 from adaptmg.level import (
     check_coarse_to_fine,
     check_problem,
+    is_small,
     joined,
+    joined_on_demand,
     level_of,
+    level_on_demand,
     level_under,
     meshed_domain,
     need_domain,
@@ -100,6 +103,8 @@ class Hierarchy(Grids):
     Attributes
     ----------
     levels : tuple of Level
+        Where the finest has at most 600 unknowns (in space 500, of scalar problems 200) the coarser
+        ones are made when they are first read: a solve by the default method does without.
     problem : ContactProblem, ScalarProblem or None
     origin : str
         How they were made, as text.
@@ -314,10 +319,14 @@ class Hierarchy(Grids):
         builder = the_transfer(transfer)
         check_coarse_to_fine(meshes)
         meshed = clock()
-        levels = [level_of(problem, mesh) for mesh in meshes]
+        finest = level_of(problem, meshes[-1])
+        on_demand = transfer is None and is_small(finest.discrete)
+        posing = level_on_demand if on_demand else level_of
+        joining = joined_on_demand if on_demand else joined
+        levels = [*(posing(problem, mesh) for mesh in meshes[:-1]), finest]
         assembled = clock()
         for k in range(1, len(levels)):
-            levels[k] = joined(levels[k - 1], levels[k], builder, contact_rows)
+            levels[k] = joining(levels[k - 1], levels[k], builder, contact_rows)
         timings = {
             "mesh": meshed - started,
             "assembly": assembled - meshed,

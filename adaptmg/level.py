@@ -3,9 +3,9 @@ one."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -103,9 +103,36 @@ class Level:
     def posing(self, **parts: object) -> Level:
         """Return the level with other parts, by the names of the arguments of Level; they are not
         checked."""
-        result = copy.copy(self)
+        result = object.__new__(Level)
+        result.__dict__.update(vars(self))
         result.__dict__.update({_FIELDS.get(name, name): part for name, part in parts.items()})
         return result
+
+    @classmethod
+    def on_demand(cls, make: Callable[[], Level], **parts: object) -> Level:
+        """Return a level that has some ``parts``, by the names of the arguments of Level, and takes the
+        others from what ``make`` returns, when the first of them is read. Levels that pose other
+        problems on it share these."""
+        return object.__new__(cls).posing(_make=cache(make), **parts)
+
+    @property
+    def complete(self) -> bool:
+        """Return whether all parts are made."""
+        return "_make" not in vars(self)
+
+    if not TYPE_CHECKING:  # type checkers see the fields alone
+
+        def __getattr__(self, name: str) -> object:
+            """Return a part that is not made yet, and make all."""
+            if self.complete or name not in self.__dataclass_fields__:
+                raise AttributeError(f"a Level has no attribute {name!r}")
+            self.__dict__.update({**vars(self._make()), **vars(self)})
+            self.__dict__.pop("_make", None)
+            return self.__dict__[name]
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return all parts, for pickle."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     @property
     def discrete(self) -> DiscreteProblem:
@@ -225,6 +252,23 @@ def level_of(problem: ContactProblem | ScalarProblem, mesh: MeshArrays) -> Level
     return Level(assembled(posed), mesh, posed=posed)
 
 
+#: unknowns up to which one solve takes the finest of several levels alone, by dimension. Seconds of hierarchy and solve
+#: over those by full multigrid: .57 to .72 in the plane (.83 and .94 at 882 and 1250 unknowns), .63 to .76 in space
+#: (.62 to 1.16 at 690 to 1029), scalar .71 to .81 (.89 at 270)
+SMALL = {1: 200, 2: 600, 3: 500}
+
+
+def is_small(problem: DiscreteProblem) -> bool:
+    """Return whether the active set method solves a problem before multigrid has set up its levels; with
+    pressures as unknowns it takes several solves."""
+    return problem.n_dofs <= SMALL[problem.dim] and not len(problem.volumes)
+
+
+def level_on_demand(problem: ContactProblem | ScalarProblem, mesh: MeshArrays) -> Level:
+    """Return the problem on a mesh, discretised when it is first read."""
+    return Level.on_demand(partial(level_of, problem, mesh), mesh=mesh)
+
+
 def level_under(problem: ContactProblem, level: Level, changed: frozenset[str]) -> Level:
     """Return a level under a problem that differs in the parts ``changed`` and in the law."""
     from adaptmg.discrete.discretise import reassembled
@@ -270,6 +314,16 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
         prolongation=checks.indices_frozen(rows.prolongation),
         surface_prolongation=None if rows.surface is None else checks.indices_frozen(rows.surface),
     )
+
+
+def joined_on_demand(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -> Level:
+    """Return the level ``above``, whose prolongation is built when it is first read."""
+    posed = {
+        name: part
+        for name, part in vars(above).items()
+        if name in ("discrete_or_none", "mesh", "posed")
+    }
+    return Level.on_demand(partial(joined, below, above, transfer, contact_rows), **posed)
 
 
 def check_problem(problem: object) -> None:

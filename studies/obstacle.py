@@ -143,7 +143,8 @@ def closed_form(case: str, size: float) -> dict:
     """Measure the error of the force on the floor, or of the torque, on meshes of a disc."""
     force = case == "force on the floor"
     problem = FLOOR if force else am.cases.elastic_plastic_torsion()
-    result = am.solve(am.Hierarchy.graded(problem, (4 * size, 2 * size, size)))
+    grids = am.Hierarchy.graded(problem, (4 * size, 2 * size, size))
+    result = am.solve(grids, am.FullMultigrid())
     mesh = am.mesh.need_mesh(result)
     torque = 2 * mesh.volumes @ result.displacement[mesh.elements, 0].mean(axis=1)
     found = result.contact.force_n.sum() if force else torque

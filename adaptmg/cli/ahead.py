@@ -14,7 +14,7 @@ def record_first_solve() -> dict:
     import adaptmg as am  # from here on: modules that are loaded now record
 
     grids = am.Hierarchy.graded(am.cases.greco_bar(), (0.04, 0.02, 0.01))
-    am.solve(grids).certificate()
+    am.solve(grids, am.FullMultigrid()).certificate()
     return RecordedKernel.calls
 
 

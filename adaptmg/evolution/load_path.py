@@ -311,10 +311,10 @@ def solve_path(
         ``path`` has ``default`` alone.
     path : LoadPath
     solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
-        The default is that of :func:`adaptmg.solve`. ``rtol`` refers to the whole displacement of a
-        step; "discretisation" sets it once, in the first step. Multigrid with
-        :class:`adaptmg.Truncated` is set up once, and takes no cycles in a step that the last two
-        steps, extrapolated in the loads, solve to the tolerance.
+        The default is that of :func:`adaptmg.solve`, on several levels always multigrid. ``rtol``
+        refers to the whole displacement of a step; "discretisation" sets it once, in the first
+        step. Multigrid with :class:`adaptmg.Truncated` is set up once, and takes no cycles in a step
+        that the last two steps, extrapolated in the loads, solve to the tolerance.
     rtol : float, optional
         Tolerance of the default solver, where none is given; default as of :func:`adaptmg.solve`.
     store : path, optional

@@ -107,7 +107,7 @@ def march(
     dynamics : Dynamics
         Densities, initial velocities, time step, end and damping.
     method : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
-        The solver of a time step; default that of :func:`adaptmg.solve`. It begins at the free
+        The solver of a time step; default that of :func:`adaptmg.solve_path`. It begins at the free
         motion, so that FullMultigrid goes on as a Multigrid.
     start : (n_nodes, dim) array or Result, optional
         Displacement at time 0, m; default 0. Under weight, that of ``am.solve(grids)`` begins at

@@ -10,7 +10,8 @@ left: on problems of moderate size with the active set method, which needs the f
 and few steps, but factorisations; on larger ones with the monotone correction, which is slow but
 needs no more memory, and which nearly incompressible bodies do not have: these begin again from zero on
 every second level. A Newton step counts as a cycle, and its residual as one pass over the finest
-matrix; factorisations count as seconds."""
+matrix; factorisations count as seconds. :class:`FinestFirst` goes the other way on small problems:
+it begins with the active set method."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._text import brief
+from adaptmg._text import brief, label
 from adaptmg.grids import Grids
 from adaptmg.multigrid.cycle import CoarseSolve, Correction, Cycle, Monotone, NestedStart
 from adaptmg.multigrid.truncated_parts import Truncated
@@ -300,27 +301,55 @@ def _continued(
     if not before.left:
         return before
     _LOG.info(
-        "cycle %d: the truncated multigrid does not converge; going on with %s",
+        "cycle %d: the method does not converge; going on with %s",
         before.cycles,
         method,
     )
     run.first_cycle += before.cycles
-    run.fallback = f"{method} from cycle {run.first_cycle}"
     start_work_units = run.start_work_units
     try:
         outcome = solver.run(hierarchy, run, start)
     except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
         # a coarsest problem of few contact nodes may be singular where the finest one is not
         _LOG.info("cycle %d: %s gives up: %s", before.cycles, method, error)
-        run.fallback = ""
         return before
     finally:
         run.first_cycle -= before.cycles
         run.start_work_units = start_work_units
+    run.fallback = f"{method} from cycle {run.first_cycle + before.cycles}"
     # Newton steps have no rate of a cycle
     return replace(
         outcome,
         cycles=before.cycles + outcome.cycles,
-        left=before.left - outcome.cycles,
+        left=0 if outcome.status.ok else before.left - outcome.cycles,
         rate=np.nan if isinstance(solver, ActiveSet) else outcome.rate,
     )
+
+
+class FinestFirst:
+    """The default for a small problem: the active set method on the finest level alone; where it
+    fails, full multigrid on all levels of a hierarchy."""
+
+    def __init__(self, grids: Grids, rtol: float | None = None) -> None:
+        self.grids = grids
+        self.active_set = ActiveSet(
+            rtol=cast("float", FullMultigrid.rtol) if rtol is None else rtol
+        )
+
+    def __repr__(self) -> str:
+        return label(self.active_set)
+
+    def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
+        """Solve on the finest level, from ``start`` (n_unknowns,) if it is given."""
+        rtol = self.active_set.rtol
+        try:
+            outcome = self.active_set.run(hierarchy, run, start)
+        except (np.linalg.LinAlgError, MemoryError) as error:
+            _LOG.info("the active set method gives up: %s", error)
+            nothing = np.zeros(hierarchy.finest.discrete.n_unknowns)
+            outcome = Outcome(nothing, Status.DIVERGED, cycles=0, rtol=rtol)
+        if outcome.status.ok or outcome.status is Status.ROUNDING:
+            return outcome
+        method = FullMultigrid if self.grids.discretised else Multigrid
+        outcome.left = method.max_cycles
+        return _continued(outcome, method(rtol=rtol), method.__name__, None, self.grids, run)

@@ -24,13 +24,14 @@ from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.grids import Grids
+from adaptmg.level import is_small
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import advise, advise_on_adhesion, advise_on_law
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examined, Examiner
 from adaptmg.solver.iterate import StopTest
-from adaptmg.solver.multigrid import FullMultigrid, Multigrid
+from adaptmg.solver.multigrid import FinestFirst, FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import Result, problem_name, versions
 from adaptmg.solver.statics import advise_on_free_motions
@@ -56,11 +57,18 @@ def tolerance_argument(rtol: float | None, solver: Solver | Method | None) -> fl
 
 
 def method_argument(
-    solver: Solver | Method | None, grids: Grids, rtol: float | None = None
+    solver: Solver | Method | None, grids: Grids, rtol: float | None = None, single: bool = False
 ) -> tuple[Grids, Solver, str]:
     """Return the grids, the solver, and the reason for the choice. Without a solver the quickest one is
-    chosen, with ``rtol`` if it is given; the reason is empty for full multigrid on all levels."""
+    chosen, with ``rtol`` if it is given, for a ``single`` contact problem or for several in a row; the
+    reason is empty for full multigrid on all levels."""
     rtol = tolerance_argument(rtol, solver)
+    discrete = grids.finest.discrete
+    if solver is None and single and len(grids) > 1 and is_small(discrete):
+        why = f"for {discrete.n_dofs} unknowns the quickest is the active set method"
+        alone = grids.finest.posing(prolongation=None, surface_prolongation=None)
+        # the seconds of levels that are made already are not those of the solve
+        return replace(grids, levels=(alone,), timings={}), FinestFirst(grids, rtol), why
     grids, method, why = _method(solver, grids)
     return grids, method if rtol is None else replace(cast("Any", method), rtol=rtol), why
 

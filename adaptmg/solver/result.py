@@ -67,14 +67,15 @@ class Result(Quantities):
     path : list of (level, action, times)
         The way through the levels.
     levels : list of dict
-        The table of the hierarchy.
+        The table of the hierarchy; its last row alone where the default took the finest level alone.
     problem_name, solver_name : str
         The names of the problem and of the solver with its options.
     fallback : str
         The method that took over where the solver did not converge, and from which cycle; empty if
         none did.
     choice : str
-        Why the solver was taken, where :func:`adaptmg.solve` chose one for one mesh; else empty.
+        Why the solver was taken, where :func:`adaptmg.solve` chose another one than ``FullMultigrid()``
+        on all levels; else empty.
     mesh : MeshArrays or None
         Finest mesh; None if the result comes from a bare DiscreteProblem, see
         :func:`adaptmg.mesh.need_mesh`.

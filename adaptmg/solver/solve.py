@@ -19,7 +19,7 @@ from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_problem, advise_on_results, once
 from adaptmg.solver.closed_forms import free_bodies
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.multigrid import handed_over
+from adaptmg.solver.multigrid import FinestFirst, handed_over
 from adaptmg.solver.outcome import (
     checked_outcome,
     displacement_argument,
@@ -60,7 +60,10 @@ def solve(
         state`` (:class:`adaptmg.solver.steps.Method`), or ``run``
         (:class:`adaptmg.solver.record.Solver`). Default ``FullMultigrid()``, where coarse levels
         are only spaces ``Multigrid()``. On one level the quickest: ``ActiveSet()``, or for large
-        problems ``Multigrid()`` on coarse spaces made from the matrix. Where the coarsest level has
+        problems ``Multigrid()`` on coarse spaces made from the matrix. Where the finest level has
+        at most 600 unknowns (in space 500, of scalar problems 200): ``ActiveSet(rtol=1e-8)`` on it
+        alone, and ``FullMultigrid()`` on all levels if that does not converge; in load paths
+        multigrid at once. Where the coarsest level has
         more than 1500 unknowns: without levels of less than 4 (2D: 2) times the nodes of the next
         coarser one, and ``ActiveSet()`` where none is left and contact nodes are few. Printing the
         result says which and why.
@@ -114,12 +117,15 @@ def solve(
     ('CONVERGED', 5)
     """
     posed_grids = grids_argument(grids)
-    grids, solver, choice = method_argument(solver, posed_grids, rtol)
+    posed = posed_grids.posed
+    in_steps = posed_grids.finest.discrete.inelastic or (
+        posed is not None and posed.problem.by_force
+    )
+    grids, solver, choice = method_argument(solver, posed_grids, rtol, single=not in_steps)
     checks.flag("throw", throw)
     checks.flag("progress", progress)
     checks.optional_callable("callback", callback, "a row of the history")
-    inelastic = grids.finest.discrete.inelastic
-    if inelastic or (grids.posed is not None and grids.posed.problem.by_force):
+    if in_steps:
         from adaptmg.evolution.load_path import solve_path  # else a first solve does without it
 
         for name, value in (("start", start), ("reference", reference)):
@@ -164,8 +170,9 @@ def solve(
     outcome = handed_over(
         checked_outcome(solver.run(grids, run, first), solver, discrete), grids, run
     )
+    if run.fallback and isinstance(solver, FinestFirst):
+        grids = posed_grids
     with run.phase("result"):
-        posed = grids.posed
         stress_data = None
         if posed is not None:
             problem = posed.problem

@@ -2,6 +2,7 @@
 default of one mesh."""
 
 import logging
+import pickle
 import time
 import warnings
 from dataclasses import replace
@@ -9,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bodies import bar_hierarchy, bar_on_block
+from norms import distance
 
 import adaptmg as am
 from adaptmg._numba import compiling_seconds, kernel
@@ -246,6 +248,66 @@ def test_one_mesh_takes_the_quickest_method_but_a_named_one(tmp_path):
     )
 
 
+@pytest.mark.parametrize("divisions", [(2, 4, 8), (4, 8, 16)])
+def test_a_small_problem_takes_its_finest_level_alone(divisions):
+    """The coarser ones are discretised when they are read, as if they had been from the start."""
+    discretised = []
+
+    def gap(points):
+        discretised.append(len(points) - 1)
+        return 1e-6 * np.cos(100 * points[:, 0]) ** 2
+
+    bottom = am.Contact("bottom", am.GapFunction(gap))
+    problem = replace(am.cases.greco_bar(), contact=bottom, reference={})
+    grids = am.Hierarchy.uniform(problem, divisions)
+    result = am.solve(grids)
+    assert set(discretised) == {divisions[-1]}
+    assert result.solver_name.startswith("ActiveSet(") and result.choice in str(result)
+    assert [row["nodes"] for row in result.levels] == [grids.finest.n_nodes]
+    assert am.solve(grids, rtol=1e-4).rtol == 1e-4
+    every = am.solve(grids, am.FullMultigrid())
+    assert set(discretised) == set(divisions)
+    assert every.choice == "" and len(every.levels) == len(divisions)
+    discrete = grids.finest.discrete
+    assert distance(discrete, result.displacement, every.displacement) < 2e-8
+    at_once = am.Hierarchy.from_meshes(
+        problem, [level.mesh for level in grids.levels], am.Interpolation()
+    )
+    assert grids.table() == at_once.table() == every.levels
+    for level, other in zip(grids.levels[1:], at_once.levels[1:], strict=True):
+        assert abs(level.prolongation - other.prolongation).max() == 0
+    sent = pickle.loads(pickle.dumps(am.Hierarchy.uniform(am.cases.greco_bar(), divisions)))
+    assert sent.table() == grids.table()
+
+
+def test_larger_problems_pressures_and_paths_take_multigrid():
+    larger = am.Hierarchy.uniform(am.cases.greco_bar(), (9, 18))
+    rubber = replace(
+        bar().problem, material=am.PlaneStrain(young=1e9, poisson=0.499), elements="smoothed"
+    )
+    for grids in (larger, am.Hierarchy.uniform(rubber, (4, 8))):
+        assert am.solve(grids).solver_name == "FullMultigrid()"
+    (step,) = am.solve_path(bar(), am.LoadPath({"left": [1.0]}))
+    assert step.solver_name == "FullMultigrid()" and len(step.levels) == 2
+
+
+@pytest.mark.parametrize("singular", [False, True])
+def test_where_the_active_set_fails_multigrid_solves(monkeypatch, singular):
+    run_active_set = am.ActiveSet.run
+
+    def fails(self, *arguments):
+        if singular:
+            raise np.linalg.LinAlgError("singular matrix")
+        return replace(run_active_set(self, *arguments), status=am.Status.CYCLING)
+
+    monkeypatch.setattr(am.ActiveSet, "run", fails)
+    grids = bar()
+    result = am.solve(grids)
+    assert result.status.ok and "FullMultigrid from cycle" in result.method
+    assert (np.diff(result.history["cycle"]) >= 0).all()
+    assert result.cycles == result.history["cycle"][-1] and result.levels == grids.table()
+
+
 @pytest.mark.parametrize(
     ("divisions", "large", "method", "levels"),
     [
@@ -282,7 +344,7 @@ def test_seconds_of_compiling_are_counted_apart():
 def test_progress_and_log_have_a_line_a_cycle_mesh_and_step(capsys, caplog):
     grids = bar()
     with caplog.at_level(logging.DEBUG, "adaptmg"):
-        result = am.solve(grids, progress=True)
+        result = am.solve(grids, am.FullMultigrid(), progress=True)
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == len(result.history["cycle"]) and lines[0].startswith("cycle 0: 1.")
     records = [
