@@ -365,7 +365,8 @@ class Posed(Boundaries):
         """Return the nodes that carry contact conditions, in ascending order, with the gaps that
         the motion of supports leaves them."""
         contact = self._contact_nodes(self.rows)
-        return replace(contact, gaps=contact.gaps - self.approached(self.prescribed))
+        approached = self.approached(self.prescribed)
+        return replace(contact, gaps=contact.gaps - approached) if approached.any() else contact
 
 
 def _evaluated(law: Law, points: np.ndarray, weights: np.ndarray) -> Law:

@@ -581,7 +581,8 @@ def least_weights(residual: np.ndarray, changes: np.ndarray, weights: np.ndarray
     # (C W C') alpha = -C W r, scaled to a diagonal of 1, which is raised by rounding: changes may be
     # dependent
     weighted = changes * weights
-    products = weighted @ changes.T
+    # by dots: .2 ms for 3 changes of 132k dofs, as a product of matrices .7
+    products = np.array([[row @ change for change in changes] for row in weighted])
     scale = np.sqrt(products.diagonal())
     scale[scale == 0.0] = 1.0
     products /= scale[:, None] * scale

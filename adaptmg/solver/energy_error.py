@@ -36,6 +36,7 @@ Nothing here comes from the solvers but the arithmetic of small blocks.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -315,10 +316,10 @@ class _Equations:
         if len(self.volumes):
             self.most = _MOST_VOLUMES
 
-    def direction(self, residual: np.ndarray) -> tuple[_Direction, np.ndarray]:
+    def direction(self, residual: np.ndarray) -> tuple[_Direction, Callable[[_Direction], float]]:
         """Return the preconditioned residual (z, q) as a direction, with its image (K (I + D)(K' z + B'q)
-        + K S z, A/kappa q - B z); and the gradient (K' z + S z, A/kappa q) of its energy: the product of
-        the gradient with the values of another direction is their energy product."""
+        + K S z, A/kappa q - B z); and its energy product with other directions, that of their values with
+        the gradient (K' z + S z, A/kappa q)."""
         status = self.status
         shape = -1, status.projections.shape[1]
         z, forces = self.precondition(residual[: self.n])  # z and K' z
@@ -328,10 +329,8 @@ class _Equations:
             "nij,nj->ni", status.stiffening, z_at_contact
         )
         values = z
-        gradient = forces
-        # symmetric: the values have no parts that the projection removes, and need no copy (2.5 ms
-        # for 263k nodes)
-        image = forces if self.symmetric else forces.copy()
+        image = forces
+        gradient = None
         pressure_rows = None
         if len(self.volumes):
             areas = self.volumes.areas
@@ -346,11 +345,22 @@ class _Equations:
             forces_at_contact += of_pressures.reshape(shape)[status.nodes]
             pressure_rows = soft * q - strains
         by_node = image.reshape(shape)
-        by_node[status.nodes] += np.einsum("nij,nj->ni", status.dragged, forces_at_contact)
+        drag = np.einsum("nij,nj->ni", status.dragged, forces_at_contact)
+        by_node[status.nodes] += drag
         status.project(by_node)
         if pressure_rows is not None:
             image = np.append(image, pressure_rows)
-        return _Direction(values, image, np.stack([z_at_contact, forces_at_contact])), gradient
+
+        def energy_product(other: _Direction) -> float:
+            if gradient is not None:
+                return float(other.values @ gradient)
+            # K other = other: the image is the gradient and the drag. To copy it before takes 2.5 ms
+            # with 263k nodes
+            return float(other.values @ image - np.sum(other.at_contact[0] * drag))
+
+        return _Direction(
+            values, image, np.stack([z_at_contact, forces_at_contact])
+        ), energy_product
 
 
 class _GalerkinSolution:
@@ -381,13 +391,15 @@ class _GalerkinSolution:
             self.residual = linalg.blas.daxpy(direction.image, self.residual, a=-change)
         return self.residual
 
-    def extend(self, newest: _Direction, gradient: np.ndarray, least: float) -> np.ndarray | None:
+    def extend(
+        self, newest: _Direction, energy_product: Callable[[_Direction], float], least: float
+    ) -> np.ndarray | None:
         """Solve with one direction more, which is made orthogonal in energy to the stored ones and of
         length 1, in place. Return the energy products (k + 1,) of the direction as it was with the k
         stored ones and with the new one; None, without a solution, if the square of the last one is
         not above ``least`` or the equations are singular: the status leaves a motion free."""
-        overlaps = np.array([direction.values @ gradient for direction in self.directions])
-        length_squared = float(newest.values @ gradient - overlaps @ overlaps)
+        overlaps = np.array([energy_product(direction) for direction in self.directions])
+        length_squared = energy_product(newest) - float(overlaps @ overlaps)
         if not length_squared > least:
             return None
         for overlap, direction in zip(overlaps, self.directions, strict=True):
@@ -430,11 +442,11 @@ def _estimated(
     R = np.zeros((equations.most, equations.most))
     for step in range(1, equations.most + 1):
         residual = solution.update_residual()
-        newest, gradient = equations.direction(residual)
+        newest, energy_product = equations.direction(residual)
         product = float(residual[: equations.n] @ newest.values[: equations.n])  # r.Pr
         if not product > 0.0 and not len(equations.volumes):
             return HeldCorrection(solution.energy, *solution.at_contact), True
-        column = solution.extend(newest, gradient, checks.SIX_DIGITS * product)
+        column = solution.extend(newest, energy_product, checks.SIX_DIGITS * product)
         if column is None:
             return HeldCorrection(float("inf"), *solution.at_contact), False
         energy = solution.energy

@@ -385,10 +385,11 @@ class TruncatedRun:
         # what is prolonged is the change since the last load step, or else the whole solution with a
         # share of its change since the level below
         change, pressures = coarse.parts(solutions[-1])
-        displacement = np.zeros(fine.n_dofs)
+        start = np.zeros(fine.n_unknowns)
+        displacement, start_pressures = fine.parts(start)
         extrapolated_share = self._extrapolation(number - 1)
         if past is not None:
-            displacement = past[number].copy()
+            displacement[:] = past[number]
             change = change - past[number - 1]
         elif extrapolated_share > 0:
             prolonged_before = np.zeros(coarse.n_dofs)
@@ -396,10 +397,9 @@ class TruncatedRun:
             self.cycle.levels[number - 1].prolong(coarser_solution, prolonged_before)
             change = change + extrapolated_share * (change - prolonged_before)
         fine_level.prolong(change, displacement)
-        pressures = prolonged_pressures(coarse, fine, fine_level.prolongation, pressures)
-        # admissible at fixed dofs
-        start = fine.from_prescribed(np.append(displacement, pressures))
-        return [*solutions, fine.with_prescribed(start)]
+        start_pressures[:] = prolonged_pressures(coarse, fine, fine_level.prolongation, pressures)
+        fine.prescribe(start)
+        return [*solutions, start]
 
     def _extrapolation(self, number: int) -> float:
         """Return the share of its change to level ``number`` by which the solution will change on the
