@@ -147,11 +147,6 @@ def _series(step: sparse.csr_array) -> sparse.csr_array:
     )
 
 
-def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
-    """Return the dofs (size * n,) of nodes (n,), node by node; a node has ``size`` dofs."""
-    return (size * nodes.astype(np.int64)[:, None] + np.arange(size)).reshape(-1)
-
-
 def block_diagonal(blocks: np.ndarray) -> sparse.bsr_array:
     """Return the block-diagonal matrix of blocks (n, dim, dim)."""
     n = len(blocks)
@@ -272,6 +267,13 @@ class Unknowns:
         what inclined supports hold; flat."""
         result = np.where(self.fixed, 0.0, vector.reshape(-1))
         self.inclined.remove_held(result)
+        return result
+
+    def supported_part(self, vectors: np.ndarray) -> np.ndarray:
+        """Return the parts of vectors (n_nodes, dim) along the directions that supports hold; without
+        those along jumps of ties."""
+        result = np.where(self.held.reshape(vectors.shape), vectors, 0.0)
+        result[self.inclined.nodes] += self.inclined.along(vectors)
         return result
 
     def from_prescribed(self, solution: np.ndarray) -> np.ndarray:

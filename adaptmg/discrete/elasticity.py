@@ -76,6 +76,11 @@ EDGES = {
 }
 
 
+def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
+    """Return the dofs (size * n,) of nodes (n,), node by node; a node has ``size`` dofs."""
+    return (size * nodes.astype(np.int64)[:, None] + np.arange(size)).reshape(-1)
+
+
 @dataclass(frozen=True, eq=False)
 class Tangents:
     """Tangent stiffnesses of some patches, in place of the moduli of their bodies."""

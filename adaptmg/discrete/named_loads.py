@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.coordinates import dofs_of
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem

@@ -378,8 +378,7 @@ class DiscreteProblem(Unknowns):
     def residual(self, solution: np.ndarray) -> np.ndarray:
         """Return b - A u - B'p (n_dofs,), N, of a solution (n_unknowns,); dual."""
         displacement, pressures = self.parts(solution)
-        residual = self.load - self.matrix @ displacement
-        return residual - self.volumes.forces(pressures) if len(self.volumes) else residual
+        return self.volumes.balanced(self.load - self.matrix @ displacement, pressures)
 
     def need_no_volumes(self, what: str) -> None:
         """Raise ValueError if there are volumes; ``what`` names the method that cannot take them."""

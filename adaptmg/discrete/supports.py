@@ -18,15 +18,16 @@ of a displacement is that of A,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from typing import Any, NamedTuple, get_args
+from functools import cache, cached_property, wraps
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar, get_args
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
@@ -40,6 +41,9 @@ from adaptmg.problem.loads import (
     times,
 )
 
+Value = TypeVar("Value")
+Others = ParamSpec("Others")
+
 
 class EnergyTerms(NamedTuple):
     """The terms that u'Au lacks of twice the energy of the stresses of a displacement u: this is u'Au -
@@ -50,6 +54,20 @@ class EnergyTerms(NamedTuple):
 
     load: np.ndarray  # (n_dofs,), N
     constant: float  # N m
+
+
+def _identity_without_nodes(
+    method: Callable[Concatenate[Inclined, Value, Others], Value],
+) -> Callable[Concatenate[Inclined, Value, Others], Value]:
+    """Make a method return its first argument, not copied, where no support is inclined."""
+
+    @wraps(method)
+    def changing(
+        self: Inclined, value: Value, *others: Others.args, **named: Others.kwargs
+    ) -> Value:
+        return method(self, value, *others, **named) if len(self) else value
+
+    return changing
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,17 +132,15 @@ class Inclined:
             "nij,nj->ni", self.spans, vector.reshape(-1, self.spans.shape[1])[self.nodes]
         )
 
+    @_identity_without_nodes
     def of_problem(self, parts: dict[str, Any]) -> dict[str, Any]:
         """Return the parts of a problem, in relative coordinates, with these directions eliminated:
         the matrix A', the rows B (I - Z) of volumes, and the parts of :meth:`eliminate_prescribed`."""
-        if not len(self):
-            return parts
         matrix = parts["matrix"]
         size = matrix.blocksize
         n = matrix.shape[0]
         dim = self.spans.shape[1]
-        dofs = (dim * self.nodes[:, None] + np.arange(dim)).reshape(-1)
-        rows = sparse.csr_array(sparse.csr_array(matrix)[dofs])
+        rows = sparse.csr_array(sparse.csr_array(matrix)[dofs_of(self.nodes, dim)])
         # D, of the size of the diagonal blocks
         stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
         volumes = parts["volumes"]
@@ -143,42 +159,43 @@ class Inclined:
         }
         return supports.eliminate_prescribed(parts | changed)
 
+    @_identity_without_nodes
     def eliminate_prescribed(self, parts: dict[str, Any]) -> dict[str, Any]:
         """Return the parts of a problem, given for A, as A' takes them under the displacement ubar that
         supports prescribe along these directions (a part of ``fixed_values``). Changed are
 
         - ``load``: b' in place of b, which ``inclined`` keeps,
         - ``volumes``: with the strain B ubar,
-        - ``strain_free``: with the terms that u'A'u lacks of u'Au."""
-        if not len(self):
-            return parts
+        - ``strain_free``: with the terms that u'A'u lacks of u'Au, unless ubar = 0."""
         values = parts["fixed_values"]
         along = self.along(values)
         prescribed = values - self.free_part(values)  # ubar
         forces = self.rows.T @ along.reshape(-1)  # A ubar
         held = np.zeros_like(forces)  # Z D ubar
         held.reshape(-1, along.shape[1])[self.nodes] = self.stiffness[:, None] * along
-        load, constant = parts["strain_free"] or (0.0, 0.0)
+        terms = parts["strain_free"]
+        if along.any():
+            load, constant = terms or (0.0, 0.0)
+            # u'A u = u'A'u + 2 u . (I - Z) A ubar + ubar'A ubar - ubar'D ubar
+            terms = EnergyTerms(
+                load=load - self.free_part(forces),
+                constant=constant + float(prescribed @ (forces - held)),
+            )
         volumes = parts["volumes"]
         return parts | {
             # b' = (I - Z) (b - A ubar) + Z D ubar
             "load": self.free_part(parts["load"] - forces) + held,
-            # u'A u = u'A'u + 2 u . (I - Z) A ubar + ubar'A ubar - ubar'D ubar
-            "strain_free": EnergyTerms(
-                load=load - self.free_part(forces),
-                constant=constant + float(prescribed @ (forces - held)),
-            ),
+            "strain_free": terms,
             "inclined": replace(self, load=parts["load"]),
             "volumes": replace(volumes, prescribed=(self.volumes @ prescribed) / volumes.areas),
         }
 
+    @_identity_without_nodes
     def imbalance(
         self, residual: np.ndarray, unknowns: np.ndarray, prescribed: np.ndarray
     ) -> np.ndarray:
         """Return b - A u (n_dofs,), N, of the residual b' - A' u of unknowns u (n_dofs,), which need
         not be what supports prescribe (n_dofs,)."""
-        if not len(self):
-            return residual
         # (I - Z) (b - A u) = (I - Z) (b' - A'u + A Z (ubar - u)), and Z (b - A u)
         short_of_prescribed = self.along(prescribed - unknowns)
         forces = residual + self.rows.T @ short_of_prescribed.reshape(-1)

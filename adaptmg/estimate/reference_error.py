@@ -187,11 +187,7 @@ def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
     forces[contact.node] = contact.force
     np.add.at(forces, contact.master_node, contact.master_force)
     # at a node with both, the reaction contains what contact and support exert together
-    forces = np.where(discrete.held.reshape(forces.shape), result.reaction, forces)
-    rest = result.reaction - forces
-    # its part along directions that oblique supports hold
-    forces[discrete.inclined.nodes] += discrete.inclined.along(rest)
-    return forces
+    return forces + discrete.supported_part(result.reaction - forces)
 
 
 def _constants(posed: Posed) -> np.ndarray:

@@ -252,7 +252,7 @@ class Solved:
             forces, unknowns, strain_free=None, volumes=self.discrete.volumes
         )
         terms = parts["strain_free"]
-        if terms is None:  # there are no such supports
+        if terms is None:  # supports prescribe nothing along them
             return energy_norm(unknowns, forces)
         # u'Au = u'A'u - 2 u . load + constant; p . B ubar, as forces hold B'p with B (I - Z)
         energy = unknowns @ (forces - 2 * terms.load) + terms.constant

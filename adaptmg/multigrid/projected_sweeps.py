@@ -25,7 +25,8 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.discrete.coordinates import Coupling, block_diagonal, dofs_of
+from adaptmg.discrete.coordinates import Coupling, block_diagonal
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.mesh.arrays import places_of
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import (

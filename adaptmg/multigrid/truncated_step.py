@@ -40,7 +40,8 @@ from scipy import linalg, sparse
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel
 from adaptmg._threads import sum_of_parts
-from adaptmg.discrete.coordinates import block_diagonal, dofs_of
+from adaptmg.discrete.coordinates import block_diagonal
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import mask_of
 from adaptmg.multigrid import projected_sweeps
@@ -308,7 +309,9 @@ class TruncatedStep:
 
     def _energy(self, unknowns: np.ndarray, pressures: np.ndarray, residual: np.ndarray) -> float:
         """Return u'Au = u'f - u'r, N m, of unknowns with the residual r, and the energy of pressures."""
-        energy = _product(unknowns, self._balanced(pressures)) - _product(unknowns, residual)
+        energy = _product(
+            unknowns, self.pressures.volumes.balanced(self.load, pressures)
+        ) - _product(unknowns, residual)
         return energy + self.pressures.volumes.energy(pressures)
 
     def move(self, state: TruncatedState, change: np.ndarray) -> TruncatedState:
@@ -345,11 +348,6 @@ class TruncatedStep:
             self.cycle.renew(self.number)
             self._applied = linearised
 
-    def _balanced(self, pressures: np.ndarray) -> np.ndarray:
-        """Return the forces (n_dofs,) that the matrix of this level balances: the load minus the forces
-        of the pressures."""
-        return self.load - self.pressures.volumes.forces(pressures) if len(pressures) else self.load
-
     def _of_uniform(
         self,
         contact: TruncatedContact,
@@ -382,7 +380,7 @@ class TruncatedStep:
                 self._projected_sweeps(state)
             return
         unknowns, pressures = self.parts(state)
-        load = self._balanced(pressures)
+        load = self.pressures.volumes.balanced(self.load, pressures)
         passes = self.smoother.smooth(load, state.contact, unknowns, state.residual)
         self.cycle.recorder.count(passes, self.matrix.nonzeros)
         self.cycle.recorder.count(1.0, self.matrix.nonzeros)  # the residual
@@ -393,7 +391,7 @@ class TruncatedStep:
         matrix = self.matrix
         contact = state.contact
         unknowns, pressures = self.parts(state)
-        state.residual[:] = self._balanced(pressures)
+        state.residual[:] = self.pressures.volumes.balanced(self.load, pressures)
         matrix.sweep(
             projected_sweeps.backward,
             *matrix.lower_arrays,

@@ -21,7 +21,7 @@ from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_parts
-from adaptmg.discrete.coordinates import dofs_of
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.mesh.arrays import pair_keys
 from adaptmg.multigrid.split_matrix import SplitMatrix, invert_block
 from adaptmg.multigrid.truncated_contact import TruncatedContact

@@ -142,7 +142,7 @@ class Augmented:
         self.exact = not (share_of_start > 1e-12).any()
         pressures_at_zero = self.pressures(np.zeros(problem.n_dofs))
         self.problem = formed.posing(
-            load=problem.load - volumes.forces(pressures_at_zero),
+            load=volumes.balanced(problem.load, pressures_at_zero),
             law=problem.law,
             fixed_values=problem.fixed_values,
             contact=problem.contact,

@@ -30,7 +30,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import SuperLU, splu
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.coordinates import dofs_of
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system, turn_held
 

@@ -23,7 +23,7 @@ from scipy.sparse.linalg import LinearOperator
 
 from adaptmg import _checks as checks
 from adaptmg._threads import seeded
-from adaptmg.discrete.coordinates import dofs_of
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.smoother.factorisation import OrderedFactors, nested_dissection, node_graph
 
 if TYPE_CHECKING:

@@ -33,7 +33,8 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel, prefetch
-from adaptmg.discrete.coordinates import block_diagonal, dofs_of, frames_of, from_frames, to_frames
+from adaptmg.discrete.coordinates import block_diagonal, frames_of, from_frames, to_frames
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.blocks import (
     AHEAD,

@@ -303,7 +303,7 @@ class Evidence:
         self.normals = problem.contact.normals
         self.fixed = problem.fixed.reshape(self.u.shape)
         self.unknowns = problem.relative(self.u)  # w, between bodies relative
-        load = problem.load - problem.volumes.forces(pressures)
+        load = problem.volumes.balanced(problem.load, pressures)
         if residual is None:
             residual = load - problem.matrix @ self.unknowns.reshape(-1)
         self.residual = residual

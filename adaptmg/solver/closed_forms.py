@@ -364,18 +364,15 @@ class FreeBodies:
         minus the forces of springs, plus those of supports, plus those of contacts and ties on its
         slave surfaces, minus those on the slaves of its masters."""
         discrete = evidence.problem
-        inclined = discrete.inclined
         shape = self.points.shape
         # friction along what supports hold counts as theirs: on masters it acts in other places
         claimed = np.zeros(shape)
         claimed[discrete.contact.nodes] = evidence.claimed
         claimed = discrete.free_part(claimed)
         # what the equations leave, without ties and contact, is borne by supports
-        reaction = inclined.reaction(evidence.unknowns.reshape(-1), evidence.pressures)
+        reaction = discrete.inclined.reaction(evidence.unknowns.reshape(-1), evidence.pressures)
         borne = discrete.physical_forces(-evidence.residual - evidence.tying - claimed)
-        carried = (borne + reaction).reshape(shape)
-        held = np.where(discrete.held.reshape(shape), carried, 0.0)
-        held[inclined.nodes] += inclined.along(carried)
+        held = discrete.supported_part((borne + reaction).reshape(shape))
         on_slaves = [
             *self._contact_forces(discrete, claimed.reshape(shape)),
             *self._tie_forces(discrete, evidence.tying.reshape(shape)),

@@ -30,7 +30,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.coordinates import dofs_of, frames_of
+from adaptmg.discrete.coordinates import frames_of
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.loads import largest_nodal_stiffness
 from adaptmg.discrete.problem import DiscreteProblem, remembered, remembered_of_structure
 from adaptmg.grids import Grids
