@@ -370,17 +370,16 @@ class _GalerkinSolution:
 
     def __init__(self, equations: _Equations, load: np.ndarray) -> None:
         """Begin at zero; ``load`` (n,) is the right-hand side."""
-        most = equations.most
         status = equations.status
-        self.symmetric = equations.symmetric
+        self.equations = equations
         self.load = load
         self.residual = load.copy()
         self.energy = 0.0
         self.directions: list[_Direction] = []
         self.at_contact = np.zeros((2, len(status.nodes), status.projections.shape[1]))
         # the equations on the directions, and their solution
-        self._matrix = np.empty((most, most))
-        self._loads = np.empty(most)
+        self._matrix = np.empty((equations.most, equations.most))
+        self._loads = np.empty(equations.most)
         self._coefficients = np.empty(0)
         self._changes: np.ndarray | list[float] = []
 
@@ -405,7 +404,7 @@ class _GalerkinSolution:
         for overlap, direction in zip(overlaps, self.directions, strict=True):
             newest.add(-overlap, direction)
         newest.scale(1 / np.sqrt(length_squared))
-        if self.symmetric:
+        if self.equations.symmetric:
             self.directions = [newest]
             self._changes = [float(newest.values @ self.residual)]
             self.energy += self._changes[0] ** 2

@@ -390,8 +390,8 @@ class _Pickler(pickle.Pickler):
         # what numba compiles: its source
         if _module_of(kind).startswith("numba."):
             if hasattr(value, "jit_methods"):  # of a jitclass
-                methods = value.jit_methods, value.jit_props, value.jit_static_methods
-                return str(value.struct), *methods
+                parts = value.jit_methods, value.jit_props, value.jit_static_methods
+                return str(value.struct), *parts
             inner = getattr(value, "py_func", getattr(value, "__wrapped__", None))
             if isinstance(inner, FunctionType):
                 return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
