@@ -708,7 +708,7 @@ class Evidence:
             pressure=pressure,
             friction=contact_forces + pressure[:, None] * normals,
         )
-        # A (u + change) - b, without the contact forces
+        # A (u + change) - b, minus the contact forces after the change
         forces = (image - residual).reshape(self.u.shape)
         forces[contact.nodes] -= contact_forces
         left, _ = self._held(changed_conditions, self.unknowns + change, forces, aggregates)
@@ -721,8 +721,9 @@ class Evidence:
 
     def _closed(self, conditions: ContactValues) -> np.ndarray:
         """Return which contact nodes touch (n_contact,) bool: those that penetrate, and those where, in
-        the measure of the stiffness d of the node, moving it onto the obstacle costs less than giving up
-        its pressure, d g^2 < p^2 / d. A small force closes the gap to a soft surface."""
+        the measure of the stiffness d of the node, closing the gap g costs less than giving up the
+        pressure p: d g^2 < p^2 / d. The gap to a surface of compliance e counts as g / (1 + e d), since a
+        smaller force closes it."""
         d = self.stiffness
         pressing = np.maximum(conditions.pressure, 0.0)
         to_close = conditions.gap / (1 + self.compliance * d)
@@ -746,8 +747,8 @@ class Evidence:
         free = np.eye(dim) - problem.held_spans(nodes)
         claimed = np.einsum("nij,nj->ni", free, conditions.friction)
         friction = self._nearest_friction(conditions.slip, claimed, bound, free)
-        # z moves touching nodes onto the obstacle and sticking nodes to zero slip, and fixed dofs to
-        # their prescribed values
+        # z moves nodes that touch something rigid onto it, takes slips back where this
+        # costs less than friction against it, and moves fixed dofs to their prescribed values
         z = np.zeros(unknowns.shape)
         free_slip = np.einsum("nij,nj->ni", free, conditions.slip)
         normal_change = np.where(on_rigid, gap, 0.0)[:, None] * normals
