@@ -295,7 +295,7 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
             result.insert(0, split(matrix, fixed))
             continue
         if not coarse.between_bodies and (
-            _of_nested_elements(hierarchy, above, level)
+            (matrix is above.matrix and _of_nested_elements(hierarchy, above, level))
             or _nested(above, matrix, nodal, coarse.matrix)
         ):
             matrix = coarse.matrix
@@ -312,10 +312,11 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
 
 
 def _of_nested_elements(hierarchy: Grids, above: Level, below: Level) -> bool:
-    """Return whether the coarse matrix is the Galerkin matrix by construction: both matrices are of
-    linear elements with constant moduli on lattices of one body, the finer lattice divides the
-    coarser one by the same number along all axes, and the prolongation is their interpolation. To
-    test the matrices takes 20 ms with 263k nodes, of 530 for hierarchy and solve."""
+    """Return whether the coarse matrix is by construction the Galerkin matrix of the finer one if this
+    is discretised, too: both are of linear elements with constant moduli on lattices of one body,
+    the finer lattice divides the coarser one by the same number along all axes, and the
+    prolongation is their interpolation. To test the matrices takes 20 ms with 263k nodes, of 530
+    for hierarchy and solve."""
     fine = above.posed
     coarse = below.posed
     if hierarchy.transfer is not None or fine is None or coarse is None:

@@ -57,7 +57,7 @@ STEEP = am.Spring("top", normal=lambda x: 1e13 * (x[:, 0] > 0.013))
 
 
 @pytest.mark.parametrize(
-    "divisions", [(2, 4, 8), [(2, 2), (4, 6), (12, 18)], [(2, 4), (6, 4), (12, 8)]]
+    "divisions", [(2, 4, 8), (2, 4, 9), [(2, 2), (4, 6), (12, 18)], [(2, 4), (6, 4), (12, 8)]]
 )
 @pytest.mark.parametrize(
     "changes",
