@@ -507,7 +507,8 @@ class Evidence:
     def prescribed(self) -> Condition:
         """Return the deviations from the prescribed values."""
         missed = self.unknowns.reshape(-1) - self.problem.fixed_values
-        return self._lengths("prescribed values", missed[self.problem.fixed])
+        inclined = np.linalg.norm(self.problem.inclined.along(missed), axis=1)
+        return self._lengths("prescribed values", np.append(missed[self.problem.fixed], inclined))
 
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Return penetration, tension, complementarity."""

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from bodies import bar_hierarchy, bar_on_block
+from bodies import bar_hierarchy, bar_on_block, rotation
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 from study_scripts import load
@@ -159,6 +159,28 @@ def test_a_faulty_displacement_is_named_and_does_not_converge(fault):
     assert largest is None or result.certificate()[names[0]].largest == pytest.approx(
         largest, rel=1e-6
     )
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_a_displacement_off_a_plane_support_is_named_at_any_angle(angle):
+    turn = rotation(angle)
+    square = am.mesh.structured(am.Rectangle(width=1, height=1), 4)
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=1e7, poisson=0.3),
+        law=am.Coulomb(0.3),
+        contact=am.Contact("bottom", am.Plane((0, 0), turn[:, 1])),
+        loads=[am.Pressure("top", 1e4)],
+        supports=[am.Support("left", normal=-1e-3)],
+    )
+    mesh = replace(square, points=square.points @ turn.T)
+    supported = am.Hierarchy.from_meshes(problem, [mesh])
+    moved = am.solve(supported, EXACT).displacement.copy()
+    moved[mesh.boundary_nodes("left")[2]] += 1e-6 * turn[:, 0]
+    result = am.solve(supported, Returns(moved), throw=False)
+    assert not result.status.ok
+    assert "prescribed values" in result.certificate().contradictions(1e-6)
+    deviation = result.certificate()["prescribed values"].largest
+    assert deviation == pytest.approx(1e-6, rel=1e-6)
 
 
 def test_not_finite_or_run_away():
