@@ -163,11 +163,12 @@ def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
     elements = []
     facets = {}
     for axis in range(3):
-        # for each face of a cell that the axis crosses: its corners in turn (``around``), and the
-        # centres of the cells on its two sides (``below``, ``above``)
+        # with l cells along the axis, n and m along the others: corners (n + 1, m + 1, l + 1), centres
+        # (n, m, l), and the four corners of each face across the axis in turn (4, n, m, l + 1)
         corner = np.moveaxis(corners, axis, -1)
         centre = np.moveaxis(centres, axis, -1)
         around = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]])
+        # on the two sides of each inner face (n, m, l - 1)
         below = centre[..., :-1]
         above = centre[..., 1:]
         # two centres and an edge of the face between them
@@ -177,13 +178,12 @@ def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
             ).reshape(-1, 4)
             for k in range(4)
         ]
-        # on the two sides of the box: a centre and half a face
-        for end in (0, -1):
-            halves = [
-                np.moveaxis(around[[0, k, k + 1], ..., end], 0, -1).reshape(-1, 3) for k in (1, 2)
-            ]
-            elements += [np.column_stack([half, centre[..., end].ravel()]) for half in halves]
-            facets[axis, -end] = np.concatenate(halves)
+        # on the lower and the upper side of the box: a centre and half a face
+        for side, place in ((0, 0), (1, -1)):
+            faces = around[..., place].reshape(4, -1).T
+            halves = [faces[:, [0, k, k + 1]] for k in (1, 2)]
+            elements += [np.column_stack([half, centre[..., place].ravel()]) for half in halves]
+            facets[axis, side] = np.concatenate(halves)
     sides = [facets[BOX_SIDES[name]] for name in domain.boundaries]
     return normalised(
         domain.lower + places / shape * (domain.upper - domain.lower),

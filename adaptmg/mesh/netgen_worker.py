@@ -22,7 +22,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import netgen.meshing
 import numpy as np
@@ -677,7 +677,7 @@ def read_meshio(path: str) -> MeshioTables:
 _CellSets = dict[str, list[tuple[int, np.ndarray]]]
 
 
-def _sets_of(raw: meshio.Mesh) -> tuple[_CellSets, dict[str, np.ndarray]]:
+def _sets_of(raw: Any) -> tuple[_CellSets, dict[str, np.ndarray]]:
     """Return the named sets of cells (block, rows) and of nodes that meshio has read."""
     if hasattr(raw, "cell_tags"):
         # of MED: the names of groups by numbers of families

@@ -13,6 +13,7 @@ chord."""
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from adaptmg.mesh.bisection import with_refinement
 from adaptmg.mesh.exact import surfaces_of
 from adaptmg.mesh.improve import KEPT
 from adaptmg.mesh.soundness import check_mesh
-from adaptmg.mesh.surfaces import CHORDAL, in_space, nearest, settled
+from adaptmg.mesh.surfaces import CHORDAL, Revolved, in_space, nearest, settled
 from adaptmg.problem.plane_domains import Domain
 
 _MAX_TRIES = 10
@@ -68,7 +69,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     }
     if all(surface.plane for patches in known.values() for surface in patches):
         return mesh
-    sides = [(patches, *_new_nodes(mesh, name, n_old)) for name, patches in known.items()]
+    sides = [_Side(patches, *_new_nodes(mesh, name, n_old)) for name, patches in known.items()]
     parents = mesh.refinement.parents
     depth = _depth(parents, n_old)
     # nodes whose move would spoil an element stay, and all others are moved again
@@ -88,6 +89,14 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     if not moved.any():
         return mesh
     return with_refinement(sound_by_construction(replace(mesh, points=points)), mesh.refinement)
+
+
+class _Side(NamedTuple):
+    """The new nodes of one boundary."""
+
+    surfaces: list[Revolved]  # of its faces
+    nodes: np.ndarray  # (n,) int
+    normals: np.ndarray  # (n, dim): mean unit normals of the facets there
 
 
 def _new_nodes(mesh: MeshArrays, name: str, n_old: int) -> tuple[np.ndarray, np.ndarray]:
@@ -116,32 +125,36 @@ def _depth(parents: np.ndarray, n_old: int) -> np.ndarray:
 def _moved(
     mesh: MeshArrays,
     parents: np.ndarray,
-    sides: list,
+    sides: list[_Side],
     depth: np.ndarray,
     stays: np.ndarray,
     n_old: int,
 ) -> np.ndarray:
     """Return the points (n_nodes, dim) with new nodes on the surfaces of the one or two boundaries
     that they lie on, but for those that ``stays``: halfway between their parents, which are moved
-    before. ``sides``: surfaces, new nodes and normals there of each boundary."""
+    before."""
     points = mesh.points.copy()
-    surfaces = [patch for surfaces_of_side, *_ in sides for patch in surfaces_of_side]
+    surfaces = [surface for side in sides for surface in side.surfaces]
     near = _ROUNDING * float(np.ptp(points, axis=0).max())
     for level in range(1, int(depth.max()) + 1):
         these = np.flatnonzero(depth[n_old:] == level) + n_old
         points[these] = 0.5 * (points[parents[these, 0]] + points[parents[these, 1]])
-        # two surfaces of each node, as places in ``surfaces``; the same one twice if it is on one
-        labels = np.full((len(points), 2), -1)
+        # numbers of the two surfaces of each node; of a node on one side twice the same, so that a
+        # second side overwrites the second number
+        surfaces_of_node = np.full((len(points), 2), -1)
         first = 0
-        for patches, nodes, normals in sides:
-            to_move = (depth[nodes] == level) & ~stays[nodes]
-            number = nearest(patches, points[parents[nodes[to_move]]], normals[to_move], CHORDAL)
-            found = nodes[to_move][number >= 0]
-            labels[found, 1] = first + number[number >= 0]
-            labels[found, 0] = np.where(labels[found, 0] < 0, labels[found, 1], labels[found, 0])
-            first += len(patches)
-        moving = np.flatnonzero(labels[:, 0] >= 0)
-        places, missed = settled(surfaces, in_space(points[moving]), labels[moving], near)
+        for side in sides:
+            to_move = (depth[side.nodes] == level) & ~stays[side.nodes]
+            nodes = side.nodes[to_move]
+            ends = points[parents[nodes]]
+            number = nearest(side.surfaces, ends, side.normals[to_move], CHORDAL)
+            found = nodes[number >= 0]
+            surfaces_of_node[found, 1] = first + number[number >= 0]
+            of_first_side = found[surfaces_of_node[found, 0] < 0]
+            surfaces_of_node[of_first_side, 0] = surfaces_of_node[of_first_side, 1]
+            first += len(side.surfaces)
+        moving = np.flatnonzero(surfaces_of_node[:, 0] >= 0)
+        places, missed = settled(surfaces, in_space(points[moving]), surfaces_of_node[moving], near)
         places[missed] = in_space(points[moving[missed]])
         points[moving] = places[:, : mesh.dim]
     return points

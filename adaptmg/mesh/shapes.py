@@ -258,21 +258,21 @@ def simplices(
     owners = []
     for facets, local in _parts(kind):
         part = nodes[:, local]
-        if len(local) == 4 and len(facets) == 4 and len(facets[0]) == 2:
-            # a quadrilateral, which has four edges: turned, then cut through its first node
-            turned = _first(
-                part,
-                part.argmin(axis=1) if points is None else _shorter(part, points, ((0, 2), (1, 3))),
-            )
-            found = [turned[:, :3], turned[:, [0, 2, 3]]]
-            rows = [np.arange(len(part))] * 2
+        if facets == FACETS["quad"]:
+            # turned, then cut through its first node
+            start = part.argmin(axis=1)
+            if points is not None:
+                start = _shorter(part, points, ((0, 2), (1, 3)))
+            turned = _first(part, start)
+            cells += [turned[:, :3], turned[:, [0, 2, 3]]]
+            owners += [np.arange(len(part))] * 2
         elif len(local) <= 4:
-            found = [part]
-            rows = [np.arange(len(part))]
+            cells.append(part)
+            owners.append(np.arange(len(part)))
         else:
-            found, rows = _cones(facets, part, _apex(kind, part, points))
-        cells += found
-        owners += rows
+            cones, cone_owners = _cones(facets, part, _apex(kind, part, points))
+            cells += cones
+            owners += cone_owners
     result = np.concatenate(cells)
     owner = np.concatenate(owners)
     order = np.sort(result, axis=1)

@@ -92,13 +92,14 @@ def triangulated(
     nodes."""
     field = _beside_short_edges(domain, field)
     middle = 0.5 * (domain.lower + domain.upper)
+    # a power of two, by which scaling is exact
     scale = 2.0 ** math.frexp((domain.upper - domain.lower).max())[1]
     # lay nodes along the boundary; again with smaller sizes next to thin parts until there are none
-    least = field
+    wanted = field
     for _ in range(_PASSES):
         places, facets, labels, elements, across = _laid(domain, field, growth, middle, scale)
         feet, sizes = _thin_parts(places, elements, across)
-        thin = sizes > least(feet) / _DEEPEST
+        thin = sizes > wanted(feet) / _DEEPEST
         if not thin.any():
             break
         field = _beside_thin_parts(field, feet[thin], sizes[thin])
@@ -113,9 +114,11 @@ def triangulated(
     # nodes and triangles that are near each other stand near each other in memory: moves and swaps
     # of 80 000 nodes take .7 of the time that they take in the order of insertion
     order, number, rows, elements = sweep(points, elements)
-    place = places_of(rows, len(rows) + 1, np.int32)
+    # new numbers of triangles by the old ones, and at the end -1 for -1, no neighbour
+    new_rows = places_of(rows, len(rows) + 1, np.int32)
     points = points[order]
-    improve_triangles(points, elements, place[across[rows]], order < len(places), _ROUNDS)
+    on_boundary = order < len(places)
+    improve_triangles(points, elements, new_rows[across[rows]], on_boundary, _ROUNDS)
     points = middle + scale * points
     # the boundary bit for bit
     points[number[: len(places)]] = places
@@ -135,15 +138,11 @@ def _laid(
     neighbours; chords that the triangulation does not hold are halved first."""
     fractions = _spaced(domain, field, growth)
     for _ in range(_CUTS):
-        laid = [edge.at(t) for edge, t in zip(domain.edges, fractions, strict=True)]
-        # the two faces of a crack have the same nodes, in opposite order
-        for right, left in domain.twins.items():
-            laid[right] = np.roll(laid[left][::-1], 1, axis=0)
-        places = np.concatenate(laid)
-        # the first node of each edge is its vertex; after its last one follows the next vertex
-        counts = np.array([len(nodes) for nodes in laid])
+        nodes_of_edges = _nodes_of_edges(domain, fractions)
+        places = np.concatenate(nodes_of_edges)
+        # after the last node of an edge follows the vertex that the next one begins with
+        counts = np.array([len(nodes) for nodes in nodes_of_edges])
         first = np.cumsum(counts) - counts
-        places[first] = domain.vertices
         following = np.arange(1, len(places) + 1)
         following[first + counts - 1] = first[domain.following]
         refuse_too_many(len(places), domain)
@@ -164,13 +163,23 @@ def _laid(
             return places[origin], facets[is_open], labels[is_open], elements, across
         if found.all():
             return places, facets, labels, elements, across
-        # halve the facets that are missing, and begin again
-        for i, (begin, n) in enumerate(zip(first, counts, strict=True)):
-            t = fractions[i]
-            fractions[i] = np.sort(
-                np.append(t, 0.5 * (t + np.append(t[1:], 1.0))[~found[begin : begin + n]])
-            )
+        # halve the facets of each edge that are missing, and begin again
+        found_of_edges = np.split(found, first[1:])
+        for i, (t, found_of_edge) in enumerate(zip(fractions, found_of_edges, strict=True)):
+            middles = 0.5 * (t + np.append(t[1:], 1.0))
+            fractions[i] = np.sort(np.append(t, middles[~found_of_edge]))
     raise Untriangulated(f"edges of {domain!r} are missing")
+
+
+def _nodes_of_edges(domain: Outline, fractions: list[np.ndarray]) -> list[np.ndarray]:
+    """Return the nodes (n, 2) of each edge from its vertex on, without that of the next edge."""
+    result = [edge.at(t) for edge, t in zip(domain.edges, fractions, strict=True)]
+    for right, left in domain.twins.items():
+        # those of the left face of a crack in opposite order, but for the vertex at the beginning
+        result[right] = np.roll(result[left][::-1], 1, axis=0)
+    for nodes, vertex in zip(result, domain.vertices, strict=True):
+        nodes[0] = vertex
+    return result
 
 
 def _joined(places: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -259,12 +268,7 @@ def _spaced(
             if isinstance(edge, Arc):
                 sizes[i] = np.minimum(sizes[i], _MAX_EDGE * edge.radius)
             if growth is not None:
-                # least size that another one along the edge, plus growth times distance, allows
-                slope = growth * length * t
-                sizes[i] = np.minimum(
-                    np.minimum.accumulate(sizes[i] - slope) + slope,
-                    np.minimum.accumulate((sizes[i] + slope)[::-1])[::-1] - slope,
-                )
+                sizes[i] = _limited(sizes[i], growth * length * t)
             long = length * np.diff(t) > np.minimum(sizes[i][1:], sizes[i][:-1])
             longs.append(long)
             finer.append(np.sort(np.append(t, 0.5 * (t[1:] + t[:-1])[long])))
@@ -283,6 +287,14 @@ def _spaced(
     return fractions
 
 
+def _limited(sizes: np.ndarray, rise: np.ndarray) -> np.ndarray:
+    """Return the sizes (n,) along an edge, limited in their growth: min_j h_j + |r_i - r_j| at place i,
+    with the ``rise`` r (n,), growth times arc length, ascending."""
+    from_before = np.minimum.accumulate(sizes - rise) + rise
+    from_behind = np.minimum.accumulate((sizes + rise)[::-1])[::-1] - rise
+    return np.minimum(from_before, from_behind)
+
+
 def _filled(
     domain: Domain,
     places: np.ndarray,
@@ -292,8 +304,12 @@ def _filled(
     growth: float | None,
 ) -> tuple[np.ndarray, ...]:
     """Put nodes into the triangles of a boundary until none is too large for the field. Returns all
-    nodes, the triangles and their neighbours."""
-    # of n nodes the first n_read have sizes of the field, others interpolated ones; tables are longer
+    nodes, the triangles and their neighbours.
+
+    A round reads the field at the new nodes, limits the growth of sizes, and puts in nodes with
+    interpolated sizes, up to four times as many as there were."""
+    # of n nodes the first n_read have sizes of the field, others interpolated ones; tables have room
+    # for more rows
     points = places
     n = len(places)
     n_elements = len(elements)
@@ -403,9 +419,11 @@ def _next_place(points, elements, e, sizes, place):
     y = points[b, 1] - points[a, 1]
     u = points[c, 0] - points[a, 0]
     v = points[c, 1] - points[a, 1]
-    # distance of the circle's centre from the shortest side, over the length of this
+    # distance of the circle's centre from the side a b, over the length of this: half of the cotangent of
+    # the angle at c, (a - c) . (b - c) / ((a - c) x (b - c))
     away = 0.5 * (u * (u - x) + v * (v - y)) / (x * v - y * u)
     radius = np.sqrt(ab * (0.25 + away * away))
+    # the limit of the height; over sides longer than 2 h it would leave flat triangles
     h = 0.5 * (sizes[a] + sizes[b])
     if ab < 4.0 * h * h:
         away = min(away, h * np.sqrt(0.75 / ab))
@@ -476,7 +494,10 @@ def _look(points, sizes, elements, n_read, settled):
 def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips):
     """Put nodes into triangles that are not ``settled`` and too large until there are none, or
     ``most`` nodes. Sizes at nodes from ``n_read`` on are interpolated; ``dips`` are sizes at
-    centroids. Returns the numbers of nodes and triangles."""
+    centroids. Returns the numbers of nodes and triangles.
+
+    A triangle is settled while it is small enough, or no node can be put in for it; every triangle that
+    changes is not."""
     place = np.empty(2)
     eights = settled[: len(settled) // 8 * 8].view(np.uint64)
     before = np.int64(-1)
@@ -495,28 +516,29 @@ def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips
             b = elements[e, 1]
             c = elements[e, 2]
             h = (sizes[a] + sizes[b] + sizes[c]) / 3.0
-            dip = e < len(dips) and dips[e] < _DIP * h
-            if dip:
+            is_dip = e < len(dips) and dips[e] < _DIP * h
+            if is_dip:
                 h = dips[e]
             radius = _next_place(points, elements, e, sizes, place) / (_RADIUS * h)
             # far from the right size what is interpolated is far from the field
             if not radius > 1.0 or (radius > _COARSE and max(a, b, c) >= n_read):
                 continue
+            # the node goes to the centroid, where a dip was read, or to ``place`` in triangle t
             t = e
             for k in range(2):
-                points[n, k] = (
-                    (points[a, k] + points[b, k] + points[c, k]) / 3.0 if dip else place[k]
-                )
-            if dip:
+                centroid = (points[a, k] + points[b, k] + points[c, k]) / 3.0
+                points[n, k] = centroid if is_dip else place[k]
+            if is_dip:
                 dips[e] = np.inf
+                sizes[n] = h
             else:
                 t = walk(points, elements, across, e, n)
-            # where the bounded walk does not arrive the triangle keeps its size
-            if t < 0:
-                continue
-            # a long triangle's mean size is not that at one of its ends: with it a node in the
-            # middle of a disc, which all triangles of the rim meet in, would keep others out
-            sizes[n] = h if dip else _interpolated(points, elements, t, n, sizes)
+                # where the bounded walk does not arrive the triangle keeps its size
+                if t < 0:
+                    continue
+                # a long triangle's mean size is not that at one of its ends: with it a node in the
+                # middle of a disc, which all triangles of the rim meet in, would keep others out
+                sizes[n] = _interpolated(points, elements, t, n, sizes)
             if _is_free(points, elements, across, t, n, _APART * sizes[n]):
                 more = insert(points, elements, across, count, t, n, settled)
                 if more > count:
