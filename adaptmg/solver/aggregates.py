@@ -34,7 +34,7 @@ from scipy.sparse.linalg import splu
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel, prefetch
 from adaptmg.discrete.coordinates import block_diagonal, frames_of, from_frames, to_frames
-from adaptmg.discrete.elasticity import dofs_of
+from adaptmg.discrete.elasticity import dofs_of, rotations
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.blocks import (
     AHEAD,
@@ -58,8 +58,6 @@ _SIZE = {1: (64, 4), 2: (64, 4), 3: (80, 3)}
 #: the cost of the coarse matrix. Certificates of blocks with 36k and 118k nodes at two tolerances take 474 ms; with
 #: 200, 100 and 70 aggregates 552, 479 and 512, all with estimates of 1.05 to 1.13 times the error
 _MANY, _LARGE, _MOST = {1: 40_000, 2: 40_000, 3: 24_000}, 100, {1: 3600, 2: 1800, 3: 140}
-#: axes of the planes of rotations, by dimension
-_PLANES = {1: (), 2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
 #: what may be missing in the conditions of a changed status
@@ -216,9 +214,8 @@ class Aggregates:
         n, dim, _ = projections.shape
         motions = np.zeros((n, dim, dim * (dim + 1) // 2))
         motions[:, :, :dim] = np.eye(dim)
-        for k, (a, b) in enumerate(_PLANES[dim], dim):
-            motions[:, a, k] = -self.offsets[:, b]
-            motions[:, b, k] = self.offsets[:, a]
+        if dim > 1:
+            motions[:, :, dim:] = np.stack(rotations(self.offsets, np.eye(dim)), axis=2)
         inside = self.label >= 0
         return sparse.bsr_array(
             ((projections @ motions)[inside], self.label[inside], np.append(0, np.cumsum(inside))),

@@ -31,7 +31,7 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import frames_of
-from adaptmg.discrete.elasticity import dofs_of
+from adaptmg.discrete.elasticity import dofs_of, rotations
 from adaptmg.discrete.loads import largest_nodal_stiffness
 from adaptmg.discrete.problem import DiscreteProblem, remembered, remembered_of_structure
 from adaptmg.grids import Grids
@@ -509,11 +509,7 @@ def _axis_motions(
         x = problem.coordinates[nodes]
         centre = x.mean(axis=0)
         size = float(np.ptp(x, axis=0).max())
-        for a, b in [(0, 1)] if dim == 2 else [(1, 2), (2, 0), (0, 1)]:
-            turn = np.zeros((len(nodes), dim))
-            turn[:, a] = (centre - x)[:, b] / size
-            turn[:, b] = (x - centre)[:, a] / size
-            columns.append(turn)
+        columns += rotations((x - centre) / size, np.eye(dim))
     return np.stack([column.reshape(-1) for column in columns], axis=1), centre, size
 
 
