@@ -17,6 +17,7 @@ from scipy import linalg, sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import rotate
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.grids import Grids
 from adaptmg.multigrid.volume_pressures import Augmented
@@ -448,8 +449,7 @@ class CondensedSteps:
             pull = equations.coupling[:, None] * equations.direction
             for k in range(1, dim):
                 matrix[:, k] -= pull[:, k - 1, None, None] * matrix[:, 0]
-                for j in range(1, dim):
-                    matrix[node, k, node, j] += equations.curvature[:, k - 1, j - 1]
+                matrix[node, k, node, 1:] += equations.curvature[:, k - 1]
             matrix[node, 0, node, 0] += equations.spring  # 1/e of compliant surfaces
             matrix = matrix.reshape(n * dim, n * dim)
             # prescribed changes go to the right-hand side
@@ -487,6 +487,7 @@ class SparseSteps:
         self.linear = linear
         self.run = run
         self._matrix = local.system.matrix
+        self._contact_dofs = dofs_of(local.system.nodes, local.system.dim)
         self._contact_of_row = local.system.contact_of[
             np.repeat(np.arange(local.system.n_nodes), np.diff(self._matrix.indptr))
         ]  # (n_blocks,): number of the contact node in whose row a block lies, or -1
@@ -501,7 +502,7 @@ class SparseSteps:
     def contact_residual(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the residual (n_dofs,), the right-hand side of :meth:`solve`, and its part (n_contact,
         dim) at the contact nodes, which decides their status."""
-        return residual, residual.reshape(-1, self.local.system.dim)[self.local.system.nodes]
+        return residual, self.values(residual)
 
     def interior_problem(self) -> tuple[Span, np.ndarray]:
         return self, self.local.load
@@ -514,15 +515,12 @@ class SparseSteps:
         singular or an iterative linear solver does not converge."""
         system = self.local.system
         # the rows of contact nodes have the equations of their status, with force as right side
-        prescribed = np.zeros((system.n_nodes, system.dim), dtype=bool)
-        prescribed[system.nodes] = equations.prescribed
-        change = np.zeros((system.n_nodes, system.dim))
-        change[system.nodes] = equations.change
-        rhs = residual.reshape(-1, system.dim).copy()
-        rhs[system.nodes] = equations.force
-        prescribed = prescribed.reshape(-1)
-        rhs = rhs.reshape(-1)
-        change = change.reshape(-1)
+        prescribed = np.zeros(system.n_dofs, dtype=bool)
+        prescribed[self._contact_dofs] = equations.prescribed.reshape(-1)
+        change = np.zeros(system.n_dofs)
+        change[self._contact_dofs] = equations.change.reshape(-1)
+        rhs = residual.copy()
+        rhs[self._contact_dofs] = equations.force.reshape(-1)
         with self.run.phase("setup"):
             matrix = self._contact_rows(equations)
             if change.any():
@@ -544,14 +542,13 @@ class SparseSteps:
         return self._matrix @ unknowns
 
     def values(self, unknowns: np.ndarray) -> np.ndarray:
-        return unknowns.reshape(-1, self.local.system.dim)[self.local.system.nodes]
+        return unknowns[self._contact_dofs].reshape(-1, self.local.system.dim)
 
     def restricted(self, forces: np.ndarray) -> np.ndarray:
         """Return forces (n_contact, dim) as a vector (n_dofs,), zero at fixed dofs."""
-        system = self.local.system
-        result = np.zeros((system.n_nodes, system.dim))
-        result[system.nodes] = forces
-        return np.where(system.fixed, 0.0, result.reshape(-1))
+        result = np.zeros(self.local.system.n_dofs)
+        result[self._contact_dofs] = forces.reshape(-1)
+        return np.where(self.local.system.fixed, 0.0, result)
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
         """Return the solution of equations with A + B as a function of right-hand sides (n_dofs,), B
