@@ -472,11 +472,23 @@ class Boundaries:
         """Return the nodes that supports hold along directions that are not axes."""
         return inclined_supports(self.mesh.points, self.holds)
 
+    @cached_property
+    def clamped(self) -> np.ndarray:
+        """Return the mask (n_nodes,) of the nodes that supports hold in all directions."""
+        result = np.all(self.fixed, axis=1)
+        ranks = np.einsum("nii->n", self.inclined.spans)
+        result[self.inclined.nodes] = ranks > self.mesh.dim - checks.SIX_DIGITS
+        return result
+
+    def held_spans(self, nodes: np.ndarray) -> np.ndarray:
+        """Return the projections (n, dim, dim) onto the directions along which supports hold
+        nodes."""
+        return self.fixed[nodes][:, :, None] * np.eye(self.mesh.dim) + self.inclined.at(nodes)
+
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Return vectors (n, dim) at some nodes without their parts along directions that supports
         hold."""
-        free = np.where(self.fixed[nodes], 0.0, vectors)
-        return free - np.einsum("nij,nj->ni", self.inclined.at(nodes), free)
+        return vectors - np.einsum("nij,nj->ni", self.held_spans(nodes), vectors)
 
     def averaged_normals(self, surface: Surface) -> np.ndarray:
         """Return the averaged normals (n_nodes, dim) of a surface, without components along what

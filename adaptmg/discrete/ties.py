@@ -22,7 +22,7 @@ from adaptmg._text import warn_user
 from adaptmg.discrete.coordinates import Coupling, Unknowns
 from adaptmg.discrete.mortar import MortarInterface, pair_interface
 from adaptmg.discrete.supports import Boundaries
-from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.mesh.arrays import Surface
 from adaptmg.problem.surfaces import ContactPair, Periodic, Tied
 
 
@@ -82,17 +82,13 @@ def tie_interfaces(boundaries: Boundaries) -> list[MortarInterface]:
     nodes that supports hold in all directions are not tied."""
     if not boundaries.problem.ties:
         return []
-    not_tied = np.all(boundaries.fixed, axis=1)
+    not_tied = boundaries.clamped.copy()
     parts: list[MortarInterface] = []
     for tie in boundaries.problem.ties:
         slave = boundaries.surfaces[tie.slave]
         master = boundaries.surfaces[tie.master]
         if isinstance(tie, Periodic):
-            parts.append(
-                _periodic(
-                    tie, boundaries.mesh, slave.nodes, master.nodes, not_tied, boundaries.fixed
-                )
-            )
+            parts.append(_periodic(tie, boundaries, slave.nodes, master.nodes, not_tied))
             not_tied[parts[-1].nodes] = True
             continue
         # a tie is coupled as a pair would be
@@ -120,15 +116,14 @@ def _warn_of_gaps(tie: Tied, slave: Surface, apart: float) -> None:
 
 def _periodic(
     tie: Periodic,
-    mesh: MeshArrays,
+    boundaries: Boundaries,
     slave: np.ndarray,
     master: np.ndarray,
     not_tied: np.ndarray,
-    fixed: np.ndarray,
 ) -> MortarInterface:
     """Return the nodes of the ``slave`` side (n,) of a cell, each with its partner on the ``master`` side
-    (n,), without those of the mask ``not_tied`` (n_nodes,); ``fixed`` (n_nodes, dim) as of
-    :class:`~adaptmg.discrete.supports.Boundaries`."""
+    (n,), without those of the mask ``not_tied`` (n_nodes,)."""
+    mesh = boundaries.mesh
     points = mesh.points
     size = mesh.sides.max()
     middle = [
@@ -147,7 +142,9 @@ def _periodic(
             f"{len(slave)} nodes, and the partner of node {slave[i]} {tuple(points[slave[i]].tolist())} "
             f"lies {distances[i]:.3g} m off. Take a structured mesh, or one with sides made alike"
         )
-    held_without_partner = (fixed[slave] & ~fixed[master[partner]]).any(axis=1)
+    held = boundaries.held_spans(slave)
+    held_of_both = held @ boundaries.held_spans(master[partner])
+    held_without_partner = np.abs(held - held_of_both).max(axis=(1, 2)) > checks.SIX_DIGITS
     if held_without_partner.any():
         i = int(np.argmax(held_without_partner))
         raise ValueError(

@@ -418,6 +418,27 @@ def test_a_tie_that_ends_at_clamped_nodes_balances_both_bodies(divisions, upper_
     assert not result.certificate().contradictions(1e-8)
 
 
+@pytest.mark.parametrize("body", ["upper", "lower"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_tie_that_ends_at_clamped_nodes_turns_with_the_bodies(dim, body):
+    """Clamped by components, or by the normal of a plane and the other components."""
+    problem, meshes, *_ = stacked(dim, 0)
+    shift = 1e-4 * np.ptp(meshes[-1].points) * np.array([1.0, 2.0, -1.0])[:dim]
+    normal = meshes[-1].surface(f"{body}.left").normals[0]
+    other = "lower.bottom" if body == "upper" else "upper.top"
+    components = dict(zip("xyz", shift, strict=False))
+    rest = {name: value for name, value in components.items() if name != "x"}
+    solutions = [
+        am.solve(am.Hierarchy.from_meshes(replace(problem, supports=supports), meshes), EXACT)
+        for supports in (
+            [am.Support(f"{body}.left", **components), am.Symmetry(other)],
+            [am.Support(f"{body}.left", normal=normal @ shift, **rest), am.Symmetry(other)],
+        )
+    ]
+    found, expected = (solution.displacement for solution in solutions)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
 def test_a_boundary_that_is_tied_and_in_contact_bears_both():
     """Of two blocks on a third one is glued; the pressures on both go down."""
     blocks = {
