@@ -226,7 +226,8 @@ class Aggregates:
 def _offsets(points: np.ndarray, label: np.ndarray, count: int) -> np.ndarray:
     """Return the offsets (n, dim) of points from the centre of their aggregate, over its extent (root
     of the mean square)."""
-    number = label + 1  # 0: in no aggregate
+    # 0: in no aggregate. Indices of numpy's kind: others are converted by each call
+    number = label.astype(np.intp) + 1
     members = np.maximum(np.bincount(number, minlength=count + 1), 1)
     centres = np.stack([np.bincount(number, x, count + 1) for x in points.T]) / members
     offsets = points - centres.T.take(number, axis=0)

@@ -645,7 +645,8 @@ class Evidence:
         image = _image(self.problem.matrix, z)  # A z
         size_of_z = np.sqrt(max(_sum(z, image), 0.0))
         # e, what is unexplained at v = u + z with the lawful contact forces in place of the claimed ones
-        e = forces + image
+        e = image
+        e += forces
         e[nodes] += conditions.forces(normals) - nearest.lawful
         contact_forces = e[nodes] + nearest.lawful
         missed = self.problem.volumes.missed((unknowns + z).reshape(-1), self.pressures)

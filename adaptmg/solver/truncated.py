@@ -385,11 +385,10 @@ class TruncatedRun:
         # what is prolonged is the change since the last load step, or else the whole solution with a
         # share of its change since the level below
         change, pressures = coarse.parts(solutions[-1])
-        start = np.zeros(fine.n_unknowns)
-        displacement, start_pressures = fine.parts(start)
+        displacement = np.zeros(fine.n_dofs)
         extrapolated_share = self._extrapolation(number - 1)
         if past is not None:
-            displacement[:] = past[number]
+            displacement = past[number].copy()
             change = change - past[number - 1]
         elif extrapolated_share > 0:
             prolonged_before = np.zeros(coarse.n_dofs)
@@ -397,9 +396,10 @@ class TruncatedRun:
             self.cycle.levels[number - 1].prolong(coarser_solution, prolonged_before)
             change = change + extrapolated_share * (change - prolonged_before)
         fine_level.prolong(change, displacement)
-        start_pressures[:] = prolonged_pressures(coarse, fine, fine_level.prolongation, pressures)
-        fine.prescribe(start)
-        return [*solutions, start]
+        pressures = prolonged_pressures(coarse, fine, fine_level.prolongation, pressures)
+        # admissible at fixed dofs
+        start = fine.from_prescribed(np.append(displacement, pressures))
+        return [*solutions, fine.with_prescribed(start)]
 
     def _extrapolation(self, number: int) -> float:
         """Return the share of its change to level ``number`` by which the solution will change on the
