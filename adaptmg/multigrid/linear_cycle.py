@@ -355,7 +355,7 @@ class CoarseFactors:
     def _factors(self, shift: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """Return the solve with the matrix and a shift (n_dofs,) of its diagonal."""
         if self.level.n_dofs <= self.DENSE:
-            matrix = _regular_dense(self.level, self._scale)
+            matrix = regular_matrix(self.level, self._scale).toarray()
             matrix.flat[:: len(shift) + 1] += shift  # the diagonal
             return _dense_factors(matrix)
         return _sparse_factors(_regular_sparse(self.level, self._scale) + sparse.diags_array(shift))
@@ -547,14 +547,6 @@ def _regular_sparse(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
     """Return :func:`regular_matrix` by dofs, without zeros."""
     matrix = sparse.csr_array(regular_matrix(level, scale))
     matrix.eliminate_zeros()
-    return matrix
-
-
-def _regular_dense(level: SplitMatrix, scale: np.ndarray) -> np.ndarray:
-    """Return :func:`regular_matrix` as a dense one."""
-    matrix = level.dense()
-    empty = np.flatnonzero(np.abs(matrix).sum(axis=1) <= checks.ROUNDING * scale)
-    matrix[empty, empty] = scale[empty]
     return matrix
 
 

@@ -109,7 +109,7 @@ class SplitMatrix:
         return np.abs(blocks.diagonal(axis1=1, axis2=2)).reshape(-1)
 
     def drop_diagonal(self) -> None:
-        """Free the diagonal blocks, which :meth:`at_slots`, :meth:`dense`, :meth:`matrix` and
+        """Free the diagonal blocks, which :meth:`at_slots`, :meth:`matrix` and
         :attr:`diagonal_sizes` need."""
         self.diagonal = np.empty(0)
 
@@ -177,13 +177,6 @@ class SplitMatrix:
             np.append(0, np.cumsum(np.bincount(row, minlength=self.n_nodes))),
             column[order],
         )
-
-    def dense(self) -> np.ndarray:
-        """Return the whole matrix (n_dofs, n_dofs) as an array; needs ``diagonal``."""
-        result = np.zeros((self.n_nodes, self.dim, self.n_nodes, self.dim))
-        for (row, column), blocks in zip(self._places, self._blocks, strict=True):
-            result[row, :, column] = blocks
-        return result.reshape(self.n_dofs, self.n_dofs)
 
     def matrix(self) -> sparse.bsr_array:
         """Return the whole matrix (n_dofs, n_dofs), sorted; needs ``diagonal``."""

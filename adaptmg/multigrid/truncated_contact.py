@@ -513,6 +513,25 @@ def _slip_size(dim, k, values, reference):
     return largest * math.sqrt(total)
 
 
+@inner_kernel
+def _read_local(dim, frames, k, vector, at, local):
+    """Write the components of a vector at contact node k in its frame to ``local`` (dim,)."""
+    for a in range(dim):
+        local[a] = 0.0
+        for b in range(dim):
+            local[a] += frames[(dim * k + a) * dim + b] * vector[at + b]
+
+
+@inner_kernel
+def _write_cartesian(dim, frames, k, local, vector, at):
+    """Write the Cartesian components of ``local`` (dim,), in the frame of contact node k, to a vector."""
+    for b in range(dim):
+        total = 0.0
+        for a in range(dim):
+            total += frames[(dim * k + a) * dim + b] * local[a]
+        vector[at + b] = total
+
+
 @kernel
 def truncate(dim, codes, nodes, frames, limit, friction, reference, gap, spring, values, r, local):
     """Replace the residual (n_dofs,) at contact nodes by the truncated one; returns the sum of its
@@ -520,10 +539,7 @@ def truncate(dim, codes, nodes, frames, limit, friction, reference, gap, spring,
     squares = 0.0
     for k in range(len(nodes)):
         at = dim * np.int64(nodes[k])
-        for a in range(dim):
-            local[a] = 0.0
-            for b in range(dim):
-                local[a] += frames[(dim * k + a) * dim + b] * r[at + b]
+        _read_local(dim, frames, k, r, at, local)
         closed = codes[k] & CLOSED
         tangential = codes[k] & TANGENTIAL
         bound = limit[k]
@@ -538,12 +554,9 @@ def truncate(dim, codes, nodes, frames, limit, friction, reference, gap, spring,
             size = _slip_size(dim, k, values, reference)
             for a in range(1, dim):
                 local[a] -= bound * (values[dim * k + a] - reference[(dim - 1) * k + a - 1]) / size
+        _write_cartesian(dim, frames, k, local, r, at)
         for b in range(dim):
-            total = 0.0
-            for a in range(dim):
-                total += frames[(dim * k + a) * dim + b] * local[a]
-            r[at + b] = total
-            squares += total * total
+            squares += r[at + b] * r[at + b]
     return squares
 
 
@@ -558,10 +571,7 @@ def project(dim, codes, nodes, frames, gap, reference, spring, values, u, local,
     n_cut = 0
     for k in range(len(nodes)):
         at = dim * np.int64(nodes[k])
-        for a in range(dim):
-            local[a] = 0.0
-            for b in range(dim):
-                local[a] += frames[(dim * k + a) * dim + b] * u[at + b]
+        _read_local(dim, frames, k, u, at, local)
         # the normal
         tangential = codes[k] & TANGENTIAL
         if codes[k] & CLOSED and not spring[k]:
@@ -592,9 +602,5 @@ def project(dim, codes, nodes, frames, gap, reference, spring, values, u, local,
             if sticks and a > 0:
                 local[a] = reference[n_tangents * k + a - 1]
             values[dim * k + a] = local[a]
-        for b in range(dim):
-            total = 0.0
-            for a in range(dim):
-                total += frames[(dim * k + a) * dim + b] * local[a]
-            u[at + b] = total
+        _write_cartesian(dim, frames, k, local, u, at)
     return n_cut

@@ -423,6 +423,15 @@ def _node_state(state, i):
 
 
 @inner_kernel
+def _with_slip_and_bound(state, reference, limit, friction, i):
+    """Return (w_n, tau_1, tau_2, p, y, v, q_1, q_2, B) of a node."""
+    w, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
+    t_1 = w_1 - reference[i, 0]
+    t_2 = w_2 - reference[i, 1]
+    return w, t_1, t_2, p, y, v, q_1, q_2, limit[i] + friction[i] * p
+
+
+@inner_kernel
 def _solve_cone(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2):
     """Return (dv, dq_1, dq_2) with B dv - tau.dq = e and q dv + v dq = (e_1, e_2), tau = (t_1, t_2)."""
     dv = (e + (t_1 * e_1 + t_2 * e_2) / v) / (b + (t_1 * q_1 + t_2 * q_2) / v)
@@ -473,11 +482,9 @@ def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
     each node with respect to (w, w_1, w_2): the solutions of the linearised equations (module) for a
     change of 1 of one of these, all that the equations miss being zero."""
     for i in range(len(state)):
-        _, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
-        t_1 = w_1 - reference[i, 0]
-        t_2 = w_2 - reference[i, 1]
+        node = _with_slip_and_bound(state, reference, limit, friction, i)
+        _, t_1, t_2, p, y, v, q_1, q_2, b = node
         mu = friction[i]
-        b = limit[i] + mu * p
         # the pair p, y
         if np.isfinite(gap[i]):
             blocks[i, 0, 0] = p / (y + compliance[i] * p)
@@ -504,12 +511,10 @@ def _right_sides(
     of the nodes. Products tend to ``target``; those of the changes ``before`` (n, 8) of the predictor
     count times ``weight``."""
     for i in range(len(state)):
-        w, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
+        node = _with_slip_and_bound(state, reference, limit, friction, i)
+        w, t_1, t_2, p, y, v, q_1, q_2, b = node
         _, d_1, d_2, dp, dy, dv, dq_1, dq_2 = _node_state(before, i)
-        t_1 = w_1 - reference[i, 0]
-        t_2 = w_2 - reference[i, 1]
         mu = friction[i]
-        b = limit[i] + mu * p
         # the pair: y dp + p dy = target - p y, where dy = gap_error + e dp - dw
         pressure_change = 0.0
         if np.isfinite(gap[i]):
@@ -552,14 +557,12 @@ def _complete_change(state, gap, reference, limit, friction, compliance, terms, 
     the longest step that keeps p, y >= 0, B >= |q_t| and v >= |tau|."""
     longest = 1e30
     for i in range(len(state)):
-        w, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
-        t_1 = w_1 - reference[i, 0]
-        t_2 = w_2 - reference[i, 1]
+        node = _with_slip_and_bound(state, reference, limit, friction, i)
+        w, t_1, t_2, p, y, v, q_1, q_2, b = node
         mu = friction[i]
         d = change[i, 0]
         d_1 = change[i, 1]
         d_2 = change[i, 2]
-        b = limit[i] + mu * p
         # the pair p, y
         dp = 0.0
         if np.isfinite(gap[i]):

@@ -211,8 +211,8 @@ def _interpolate_on_lattice(
     # arrays over the lattice (..., y, x) that broadcast: the first corner of the coarse cell of a node,
     # its share along each axis, and the step to the next coarse node along this axis
     corner = np.int32(0)
-    shares = []
-    steps = []
+    shares: list[Any] = []
+    steps: list[Any] = []
     step = np.int32(1)
     for axis, (m, n) in enumerate(zip(coarse_cells, fine_cells, strict=True)):
         cell, rest = np.divmod(np.arange(n + 1) * m, n)
@@ -225,21 +225,16 @@ def _interpolate_on_lattice(
     # for 263k plane nodes
     for last in range(dim - 1, 0, -1):
         for k in range(last):
-            _put_larger_first(k, shares, steps)
+            exchanged = shares[k] < shares[k + 1]
+            for values in (shares, steps):
+                larger = np.where(exchanged, values[k + 1], values[k])
+                values[k + 1] = np.where(exchanged, values[k], values[k + 1])
+                values[k] = larger
     ends = [1.0, *shares, 0.0]
     for k in range(dim + 1):
         weights[:, k] = (ends[k] - ends[k + 1]).reshape(-1)
         columns[:, k] = corner.reshape(-1)
         corner = corner + steps[k] if k < dim else corner
-
-
-def _put_larger_first(k: int, shares: list[Any], steps: list[Any]) -> None:
-    """Exchange shares k and k + 1 with their steps, in place, at nodes where the second is larger."""
-    exchanged = shares[k] < shares[k + 1]
-    for values in (shares, steps):
-        first = np.where(exchanged, values[k + 1], values[k])
-        values[k + 1] = np.where(exchanged, values[k], values[k + 1])
-        values[k] = first
 
 
 def _rows(
