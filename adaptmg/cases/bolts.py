@@ -26,6 +26,7 @@ import numpy as np
 
 import adaptmg as am
 from adaptmg import _checks as checks
+from adaptmg.cases.paper import defaults_of
 from adaptmg.problem import Law
 from adaptmg.problem.solid_domains import SolidDomain
 
@@ -95,8 +96,16 @@ def bolted_junction(
     preload = checks.quantity("preload", preload, positive=True)
     pressure = checks.quantity("pressure", pressure)
     material = (am.Axisymmetric if dim == 2 else am.Solid)(young=young, poisson=poisson)
-    parameters = (preload, pressure, friction, flanges, young, poisson)
-    by_default = dim == 2 and parameters == (2.5e6, 4e6, 0.2, Flanges(), 2.1e11, 0.3)
+    parameters = {
+        "dim": dim,
+        "preload": preload,
+        "pressure": pressure,
+        "friction": friction,
+        "flanges": flanges,
+        "young": young,
+        "poisson": poisson,
+    }
+    by_default = parameters == defaults_of(bolted_junction) | {"flanges": Flanges()}
     reference: dict[str, object] = {
         "remark": _REMARK,
         "flanges": flanges,
@@ -119,9 +128,9 @@ def bolted_junction(
     ]
     # each bolt contracts towards its own axis, not towards that of the vessels
     ring = {"upper": material, "lower": material, "bolt": am.Axisymmetric(young=young, poisson=0.0)}
-    # components of vectors along the axis: the last one
+    # components across the axis of the vessels, which is the last axis
     across = (0.0,) * (dim - 1)
-    wall = math.pi * ((flanges.bore + flanges.wall) ** 2 - flanges.bore**2)
+    wall_area = math.pi * ((flanges.bore + flanges.wall) ** 2 - flanges.bore**2)
     strain = (*across, -flanges.shortening(preload, material.young, dim) / flanges.clamped)
     supports = [am.Support("lower.pipe", y=0.0) if dim == 2 else am.Support("lower.pipe", z=0.0)]
     if dim == 3:
@@ -142,7 +151,7 @@ def bolted_junction(
             *(am.InitialStrain(name, strain) for name in bolts),
             am.Pressure("upper.bore", pressure),
             am.Pressure("lower.bore", pressure),
-            am.Traction("upper.pipe", (*across, flanges.thrust(pressure) / wall)),
+            am.Traction("upper.pipe", (*across, flanges.thrust(pressure) / wall_area)),
         ),
     )
 

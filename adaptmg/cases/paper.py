@@ -54,7 +54,7 @@ def constant_friction(law: Law) -> float | None:
     return law.friction if isinstance(law, am.Coulomb) and isinstance(law.friction, float) else None
 
 
-def _defaults(case: Callable[..., object]) -> dict[str, object]:
+def defaults_of(case: Callable[..., object]) -> dict[str, object]:
     """Return the default arguments of a case, without its law."""
     arguments = inspect.signature(case).parameters.values()
     return {argument.name: argument.default for argument in arguments if argument.name != "law"}
@@ -136,7 +136,7 @@ def greco_bar(
     reference: Mapping[str, object] = {}
     if isinstance(law, am.Frictionless) and top_pressure > 0:
         reference = _patch_test(material, top_pressure, side_pressure, size)
-    elif parameters == _defaults(greco_bar) and constant_friction(law) == 1.0:
+    elif parameters == defaults_of(greco_bar) and constant_friction(law) == 1.0:
         reference = _REFERENCE
     return am.ContactProblem(
         name="GRECO bar",
@@ -279,7 +279,7 @@ def curved_obstacle(
         "poisson": poisson,
         "size": size,
     }
-    default = isinstance(law, am.Frictionless) and parameters == _defaults(curved_obstacle)
+    default = isinstance(law, am.Frictionless) and parameters == defaults_of(curved_obstacle)
     reference = (
         {"touching": {32: 17}, "sources": {"touching": "direct active-set solve"}}
         if default
@@ -399,7 +399,7 @@ def dovetail(
     angle = _checked_angle(angle)
     pull = checks.quantity("pull", pull)
     reference: Mapping[str, object] = {"remark": _JOINT_REMARK}
-    if constant_friction(law) == 0.2 and parameters == _defaults(dovetail):
+    if constant_friction(law) == 0.2 and parameters == defaults_of(dovetail):
         reference = _JOINT_REFERENCE
     return am.ContactProblem(
         name="dovetail",

@@ -375,21 +375,21 @@ def draw_bodies(
     codes of the marks. Nodes ``moved`` to other places (n_nodes, dim) are drawn there, over the
     outlines before."""
     table = facet_table(mesh.elements, mesh.n_nodes)
-    now = mesh.points if moved is None else moved
-    # the element of each facet
-    behind = table.first[table.find(facet_keys(mesh.facets, mesh.n_nodes))]
+    points = mesh.points if moved is None else moved
+    element_of_facet = table.first[table.find(facet_keys(mesh.facets, mesh.n_nodes))]
     shown = np.isin(mesh.element_body, [mesh.bodies.index(name) for name in names or mesh.bodies])
-    visible = shown[behind]
+    visible = shown[element_of_facet]
     facets = mesh.facets[visible]
-    behind = behind[visible]
-    # facets with marks, at each corner a number of a colour of ``inks``
+    element_of_facet = element_of_facet[visible]
+    # (n, dim): at each corner of a facet the number of its colour in ``inks``, -1 without a mark
     codes = np.full(facets.shape, -1) if marks is None else marks.codes[visible]
     marked = codes[:, 0] >= 0
     inks = to_rgba_array([] if marks is None else marks.colors)
-    corners = np.concatenate([mesh.points[facets], now[facets]]).reshape(-1, mesh.dim)
+    corners = np.concatenate([mesh.points[facets], points[facets]]).reshape(-1, mesh.dim)
+    # points in the unit of the axes; those before the motion only where there is one
     scale, unit = style.scaled(style.bounds(corners)[2], "m")
-    before = None if moved is None else scale * mesh.points
-    now = scale * now
+    points_before = None if moved is None else scale * mesh.points
+    points_now = scale * points
     elements = np.flatnonzero(shown)
     lines = (
         len(elements if mesh.dim == 2 else facets) <= _LINES_UP_TO[mesh.dim]
@@ -400,11 +400,11 @@ def draw_bodies(
         # small bodies over large ones
         size = np.bincount(mesh.element_body, np.abs(mesh.volumes))
         elements = elements[np.argsort(-size[mesh.element_body[elements]], kind="stable")]
-        _fill(ax, now, mesh, elements, colors, lines)
-        if before is not None:
-            _draw_edges(ax, before[facets], style.GREY, 0.8)
-        _draw_edges(ax, now[facets], style.INK, 1.0)
-        halves = style.halves(now[facets[marked]])
+        _fill(ax, points_now, mesh, elements, colors, lines)
+        if points_before is not None:
+            _draw_edges(ax, points_before[facets], style.GREY, 0.8)
+        _draw_edges(ax, points_now[facets], style.INK, 1.0)
+        halves = style.halves(points_now[facets[marked]])
         _draw_edges(ax, halves, "white", 4.2, over=True)
         _draw_edges(ax, halves, inks[codes[marked].ravel()], 2.8, over=True)
         ax.set(aspect="equal", xlabel=f"{axes[0]} [{unit}]", ylabel=f"{axes[1]} [{unit}]")
@@ -416,17 +416,17 @@ def draw_bodies(
         if isinstance(colors, Coloring) and colors.nodal:
             rgba = _rgba(colors, mesh, facets)
         else:
-            rgba = np.repeat(_rgba(colors, mesh, behind)[:, None], 3, axis=1)
+            rgba = np.repeat(_rgba(colors, mesh, element_of_facet)[:, None], 3, axis=1)
         rgba[marked] = inks[np.median(codes[marked], axis=1).astype(int)][:, None]
         edges = sharp_edges(mesh.points, facets)
-        outlines = [Lines(now[edges], style.INK, 0.9)]
-        if before is not None:
-            outlines.insert(0, Lines(before[edges], style.GREY, 0.9))
-        ax.add_artist(ShadedSurface(now[facets], rgba, lines, (*outlines, *strokes)))
+        outlines = [Lines(points_now[edges], style.INK, 0.9)]
+        if points_before is not None:
+            outlines.insert(0, Lines(points_before[edges], style.GREY, 0.9))
+        ax.add_artist(ShadedSurface(points_now[facets], rgba, lines, (*outlines, *strokes)))
         ax = solid_axes(ax)
         finish_axes(ax, scale * corners, unit)
         if len(names or mesh.bodies) == 1:
-            view_of(ax, now[facets[marked]])
+            view_of(ax, points_now[facets[marked]])
     return set(codes[marked].ravel().tolist())
 
 
