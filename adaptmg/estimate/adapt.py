@@ -322,28 +322,30 @@ def _hierarchy_of_size(
     engine: Engine,
     limits: Limits,
 ) -> Hierarchy:
-    """Return a hierarchy of one mesh with an element size in m, or the default one; ValueError, before
-    Netgen works for minutes, if the mesh would have far too many nodes."""
+    """Return a hierarchy of one mesh with an element size in m, or the default one, which is finer at
+    contact if a contact boundary is short; ValueError, before Netgen works for minutes, if the mesh
+    would have far too many nodes."""
     from adaptmg.mesh.sizes import NODES_PER_CELL
 
     size = None if start is None else checks.positive("start", start)
     domain = need_domain(problem)
     volumes, lengths = measures(domain)
     dim = domain.dim
-    ratio = 1.0
+    contact_refinement = 1.0  # size in the bodies over that at contact
     if size is None:
         extent = (sum(volumes) / len(volumes)) ** (1 / dim)
         size = float(f"{extent / _ACROSS[dim]:.2g}")
         shortest = min(
             (lengths[name] for name in problem.pair_boundaries if name in lengths), default=math.inf
         )
-        ratio = max(ratio, _ALONG * size / shortest)
-    nodes_at_size_1 = NODES_PER_CELL[dim] * sum(volumes)
+        contact_refinement = max(contact_refinement, _ALONG * size / shortest)
+    # the mesh has about c |bodies| / size^dim nodes
+    nodes_times_cell = NODES_PER_CELL[dim] * sum(volumes)
     max_nodes = limits.max_nodes
     with np.errstate(over="ignore", divide="ignore"):
-        nodes = float(nodes_at_size_1 * np.float64(1 / size) ** dim)
+        nodes = float(nodes_times_cell * np.float64(1 / size) ** dim)
     if max_nodes is not None and nodes > _SURELY * max_nodes:
-        least_size = (nodes_at_size_1 / max_nodes) ** (1 / dim)
+        least_size = (nodes_times_cell / max_nodes) ** (1 / dim)
         raise ValueError(
             f"start must be at least {least_size:.2g} m for max_nodes={max_nodes}, got "
             f"{size:g}: its mesh has about {nodes:.2g} nodes"
@@ -352,7 +354,7 @@ def _hierarchy_of_size(
     with _naming_start():
         mesh = cast("MeshLike | None", first_mesh(problem, size) if callable(first_mesh) else None)
         if mesh is None:
-            return Hierarchy.graded(problem, (size,), ratio, transfer)
+            return Hierarchy.graded(problem, (size,), contact_refinement, transfer)
     sound_mesh(engine, "first", problem, mesh)
     with _naming_start():
         return Hierarchy.from_meshes(problem, (mesh,), transfer)

@@ -112,21 +112,18 @@ def linearised_contact(
     force = to_frames(frames, residual.reshape(-1, dim)[nodes])
     force[:, 1:][held] = 0.0
     slip_length = np.linalg.norm(slip, axis=1)
-    # Tresca's law acts at open nodes too, whose state does not say whether they slip
-    open_with_friction = (state == State.OPEN) & (nodal.limit > 0)
-    open_at_rest = open_with_friction & (
-        slip_length <= checks.ROUNDING * np.abs(unknowns).max(initial=0.0)
-    )
-    sticks = (state == State.STICK) | open_at_rest
-    slips = (state == State.SLIP) | (open_with_friction & ~open_at_rest)
-    # the friction g f of a node with the slip s and f = -s/|s|: its derivatives are mu f
-    # (``direction``) by the pressure, and -H = -g/|s| (I - s s'/|s|^2) by the slip
-    limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
+    at_rest = slip_length <= checks.ROUNDING * np.abs(unknowns).max(initial=0.0)
+    sticks, slips = _friction_states(state, nodal.limit > 0, at_rest)
+    # friction g f of the limit g = limit + mu |pressure| in the direction f = -s/|s| (``unit``) against
+    # the slip s: its derivative by the pressure is mu f (``direction``)
     unit = _opposite(slip, slip_length, force[:, 1:])
     direction = np.where((state == State.SLIP)[:, None], nodal.friction[:, None] * unit, 0.0)
-    with_direction = slips & (slip_length > 0)
-    stiffness = np.where(with_direction, limit / np.where(with_direction, slip_length, 1.0), 0.0)
+    # and that by the slip is -H, H = g/|s| (I - f f')
+    limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
+    moves = slips & (slip_length > 0)
+    stiffness = np.where(moves, limit / np.where(moves, slip_length, 1.0), 0.0)
     hessian = stiffness[:, None, None] * (np.eye(dim - 1) - unit[:, :, None] * unit[:, None, :])
+    # an error may change neither the gap where bodies touch nor the slip where they stick
     free = np.ones((len(nodes), dim), dtype=bool)
     free[state != State.OPEN, 0] = False
     free[:, 1:] = ~held & ~sticks[:, None]
@@ -147,6 +144,17 @@ def linearised_contact(
         free=free,
         held=held,
     )
+
+
+def _friction_states(
+    state: np.ndarray, always_rubs: np.ndarray, at_rest: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the masks (n,) of nodes that stick and that slip. Open nodes do neither, unless Tresca's
+    friction, which needs no pressure, acts at them (``always_rubs``): then they stick ``at_rest``, and
+    else slip."""
+    rubs_open = (state == State.OPEN) & always_rubs
+    sticks = (state == State.STICK) | (rubs_open & at_rest)
+    return sticks, (state == State.SLIP) | (rubs_open & ~at_rest)
 
 
 def _opposite(slip: np.ndarray, length: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -325,24 +333,26 @@ def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
     F P`; those below are Galerkin products with P."""
     levels = hierarchy.levels
     dim = system.contact.discrete.dim
-    prolongations = [_rotated(levels[-1].prolongation, system.contact, system.trial)]
+    # from the finest level to the coarsest
     matrices = [split(system.matrix, ~system.trial)]
-    coarse = sparse.csr_array(
-        prolongations[0].T @ sparse.csr_array(system.matrix) @ prolongations[0]
-    )
-    # dofs that nothing reaches get a diagonal
+    rotated = _rotated(levels[-1].prolongation, system.contact, system.trial)
+    prolongations = [rotated]
+    coarse = sparse.csr_array(rotated.T @ sparse.csr_array(system.matrix) @ rotated)
+    # a coarse dof from which only decoupled ones would be interpolated has a row of zeros: the largest
+    # diagonal entry there makes the matrix regular, and leaves the dof at 0
     diagonal = coarse.diagonal()
     coarse = coarse + sparse.diags_array(
         np.where(diagonal == 0, np.abs(diagonal).max(), 0.0), format="csr"
     )
     matrix = sparse.bsr_array(sparse.csr_array(coarse), blocksize=(dim, dim)).sorted_indices()
-    matrices.insert(0, split(matrix, levels[-2].discrete.fixed))
+    matrices.append(split(matrix, levels[-2].discrete.fixed))
     further = zip(nodal_prolongations(hierarchy)[:-1], levels[:-2], strict=True)
     for nodal, level in reversed(list(further)):
         matrix = coarse_matrix(matrix, nodal)
-        matrices.insert(0, split(matrix, level.discrete.fixed))
-        prolongations.insert(0, nodal)
-    cycle = LinearCycle(matrices, prolongations, Run(unit=1), [2] * len(matrices))
+        matrices.append(split(matrix, level.discrete.fixed))
+        prolongations.append(nodal)
+    sweeps = [2] * len(matrices)
+    cycle = LinearCycle(matrices[::-1], prolongations[::-1], Run(unit=1), sweeps)
     cycle.renew(len(matrices) - 1)
     return cycle
 

@@ -190,7 +190,9 @@ class Bisect:
         large squared errors ``squares`` (n_elements,) twice unless the mesh then exceeds the limit
         of nodes."""
         fine = refined(mesh, chosen)
+        # of each child: eta^2 ~ h^2 |T|
         left_by_one_halving = 2.0 ** -(2 + mesh.dim) * squares
+        # twice where a child keeps half of the mean square, and half of the least that is halved
         large = max(squares.mean(), squares[chosen].min())
         again = chosen & (left_by_one_halving > _LEFT * large)
         if again.any() and fine.mesh.n_nodes < limit:

@@ -477,9 +477,9 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _friction(state: Solved, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the limits (n_contact,) of friction and Cartesian friction tractions (n_contact, dim),
-    Pa, which obey the law: at the limit against the slip where a node moves, along the force and at
-    most at the limit where it sticks. ``opens`` (n_contact,) is the mask of open nodes."""
+    """Return the limits g (n_contact,) of friction and Cartesian friction tractions t (n_contact, dim),
+    Pa, which obey the law: t = -g s / |s| where a node moves by the slip s, elsewhere the friction of
+    the result, but |t| <= g. ``opens`` (n_contact,) is the mask of open nodes."""
     contact = state.result.contact
     # of open nodes the part that does not depend on the pressure
     fixed, _ = state.discrete.law.bounds(len(contact))
@@ -489,8 +489,8 @@ def _friction(state: Solved, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     moves = (contact.state != State.STICK) & (length > rounding)
     direction = np.where(moves[:, None], -contact.slip, contact.force_t)
     size = np.linalg.norm(direction, axis=1)
-    factor = np.divide(limit, size, out=np.zeros_like(size), where=size > 0)
-    factor = np.where(moves, factor, np.minimum(factor, 1.0)) / contact.weights
+    at_limit = np.divide(limit, size, out=np.zeros_like(size), where=size > 0)
+    factor = np.where(moves, at_limit, np.minimum(at_limit, 1.0)) / contact.weights
     return limit / contact.weights, from_frames(contact.frames[:, 1:], factor[:, None] * direction)
 
 
@@ -500,13 +500,13 @@ def _padded(values: np.ndarray) -> np.ndarray:
 
 
 def jump_squares(state: Solved) -> np.ndarray:
-    """Return the squares (n_elements,), N m, of jumps of the traction: half of that of a facet belongs
-    to each of its elements, with the modulus of that element."""
+    """Return the squares h_F / (2 E) int_F |[sigma n]|^2 (n_elements,), N m, of jumps of the traction:
+    those of a facet F for each of its elements, with its modulus E."""
     mesh = state.mesh
     stress = state.stress
     first, second = state.neighbours.pairs
     surface = Surface(mesh.points, state.neighbours.facets)
-    if stress.axisymmetric:
+    if stress.axisymmetric:  # sigma n varies along the facet
         rule, _, weights = integration(
             mesh.points, surface.facets, surface.measures, axisymmetric=True
         )
@@ -517,15 +517,15 @@ def jump_squares(state: Solved) -> np.ndarray:
         jump -= opposite
         squares = np.einsum("fqd,fqd,fq->f", jump, jump, weights)
     else:
+        # constant: |F| [sigma n]_i = sum_j [sigma_ij] (|F| n)_j, without arrays (n_facets, dim, dim)
         values = stress.values.T
         change = values.take(first, axis=1) - values.take(second, axis=1)
-        # components of the jump of sigma n, times the measure of the facet
         jumps = [
             sum(change[column] * n for column, n in zip(row, surface.vectors.T, strict=True))
             for row in stress.columns
         ]
         squares = sum(jump * jump for jump in jumps) / surface.measures
-    squares *= 0.5 * surface.sizes  # h_F / 2 |[sigma n]|^2
+    squares *= 0.5 * surface.sizes
     return (
         sum(np.bincount(elements, squares, len(mesh.elements)) for elements in (first, second))
         / state.young
@@ -553,26 +553,24 @@ def volume_squares(
 
 
 def _divergence(stress: ElementStress, rule: np.ndarray) -> np.ndarray:
-    """Return the divergence (n_elements, n_points, 2) of an axisymmetric stress: (d_r sigma_rr + (sigma_rr -
-    sigma_tt) / r, d_z sigma_zz + sigma_rz / r), where stresses vary with the hoop strain u_r /
-    r."""
+    """Return the divergence (n_elements, n_points, 2) of an axisymmetric stress,
+
+    (d_r sigma_rr + d_z sigma_rz + (sigma_rr - sigma_tt) / r, d_r sigma_rz + d_z sigma_zz + sigma_rz / r).
+
+    Within an element only the hoop strain e = u_r / r varies: sigma(e) = sigma(e_c) + (e - e_c) c with
+    the stress at the centroid, c that of a hoop strain of 1 and r d_r e = d_r u_r - e, r d_z e = d_z
+    u_r."""
     mesh = stress.mesh
     slope = displacement_gradient(mesh, stress.displacement)[:, 0, :, None]
-    rise = stress.rise(slice(None), mesh.elements, rule)
-    values = stress.values[:, :, None]
-    per_hoop = stress.of_hoop[:, :, None]
+    rise = stress.rise(slice(None), mesh.elements, rule)  # e - e_c
+    rr, _, tt, rz = stress.values.T[:, :, None]
+    c_rr, c_zz, c_tt, c_rz = stress.of_hoop.T[:, :, None]
     r = mesh.points[mesh.elements, 0] @ rule.T
-    # r times the change of the hoop strain along r and along z
+    # r d_r e and r d_z e
     along_r = slope[:, 0] - stress.hoop[:, None] - rise
     along_z = slope[:, 1]
-    radial = (
-        per_hoop[:, 0] * along_r
-        + per_hoop[:, 3] * along_z
-        + values[:, 0]
-        - values[:, 2]
-        + (per_hoop[:, 0] - per_hoop[:, 2]) * rise
-    )
-    axial = per_hoop[:, 3] * (along_r + rise) + per_hoop[:, 1] * along_z + values[:, 3]
+    radial = c_rr * along_r + c_rz * along_z + rr - tt + (c_rr - c_tt) * rise
+    axial = c_rz * (along_r + rise) + c_zz * along_z + rz
     return np.stack([radial / r, axial / r], axis=2)
 
 

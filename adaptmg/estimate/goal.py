@@ -308,21 +308,28 @@ class HalvedError:
         signed = _WHOLE * float(weighted @ self.error) + geometry
         parts = np.abs(weighted * self.diagonal_error)
         if not dual.field.any() and coarse.vector[~self.view.discrete.fixed].any():
-            # the contact state does not let the quantity change, but a finer mesh may have another
-            # state: the parts are then those of the energy, and their sum is the change by a relative
-            # error of the displacement as large as that of the energy
-            displacement_size = np.abs(self.view.contact.unknowns).max(initial=0.0)
-            largest_change = float(displacement_size * np.abs(coarse.vector).sum())
-            shares = self.energies / max(float(self.energies.sum()), np.finfo(float).tiny)
-            parts = shares * self.energy * largest_change
+            # the contact state does not let the quantity change, but a finer mesh may have another state
+            parts = self._energy_parts(coarse)
         dim = contact.discrete.dim
         nodal = np.bincount(self.new // dim, parts, minlength=contact.discrete.n_nodes)
-        # the error of the chords is shared out among the new nodes: at an edge of length h, whose node
-        # has a weight of the order h in a mean, it is of the order h^3, at a facet h^4 with h^2
+        return signed, nodal + abs(geometry) * self._chord_shares(finer)
+
+    def _energy_parts(self, functional: Functional) -> np.ndarray:
+        """Return as parts (n_new,) of a quantity those of the energy; their sum is the change of the
+        quantity by a relative error of the displacement as large as that of the energy."""
+        displacement_size = np.abs(self.view.contact.unknowns).max(initial=0.0)
+        largest_change = float(displacement_size * np.abs(functional.vector).sum())
+        shares = self.energies / max(float(self.energies.sum()), np.finfo(float).tiny)
+        return shares * self.energy * largest_change
+
+    def _chord_shares(self, finer: Functional) -> np.ndarray:
+        """Return the shares (n_nodes,), with sum 1, of the new nodes in the error of the chords. At a
+        facet of size h the node has a weight ~ h^(d - 1) in a mean, and the error is ~ h^(d + 1)."""
+        dim = self.view.mesh.dim
         weights = np.linalg.norm(finer.vector.reshape(-1, dim), axis=1)
-        share = weights ** ((dim + 1) / (dim - 1))
-        share[: self.view.mesh.n_nodes] = 0.0
-        return signed, nodal + abs(geometry) * share / max(float(share.sum()), np.finfo(float).tiny)
+        errors = weights ** ((dim + 1) / (dim - 1))
+        errors[: self.view.mesh.n_nodes] = 0.0
+        return errors / max(float(errors.sum()), np.finfo(float).tiny)
 
 
 def _on_elements(fine: GoalView, origin: np.ndarray, parts: np.ndarray) -> np.ndarray:

@@ -241,6 +241,19 @@ class StoredStep:
     timings: dict[str, float]
     path: PathResult | None = None
 
+    @classmethod
+    def of(cls, step: Step) -> StoredStep:
+        """Return the record of a step."""
+        names = ("total_seconds", "work_units", "total_work_units")
+        return cls(
+            step.estimate,
+            levels=[need_mesh(level) for level in step.hierarchy.levels],
+            history=need_mesh(step.result).refinement,
+            numbers={name: getattr(step, name) for name in names},
+            timings=dict(step.timings),
+            path=step.path,
+        )
+
 
 @dataclass(frozen=True)
 class LoopParts:
@@ -416,11 +429,14 @@ class AdaptiveLoop:
             grown = appended(before, mesh, self.parts.engine)
             start = carried(grown, len(before) - 1, last.result)
             grown = thinned(grown, last=self._full(mesh.n_nodes))
-        for name, seconds in (item for item in grown.timings.items() if item[0] != "compiling"):
-            # what the hierarchy spent is not part of choosing levels
-            spent = seconds - before.timings.get(name, 0.0)
-            self.clock.timings[name] = self.clock.timings.get(name, 0.0) + spent
-            self.clock.timings["levels"] -= spent
+        # the seconds that the hierarchy spent in phases of its own are not those of choosing levels; those
+        # of compiling are no phase, and the clock has counted them
+        timings = self.clock.timings
+        for name, seconds in grown.timings.items():
+            if name != "compiling":
+                spent = seconds - before.timings.get(name, 0.0)
+                timings[name] = timings.get(name, 0.0) + spent
+                timings["levels"] -= spent
         return grown, start
 
     @one_blas_thread()
@@ -447,37 +463,27 @@ class AdaptiveLoop:
         work = result.work_units if path is None else sum(step.work_units for step in path)
         timings = self.clock.timings
         self.clock.timings = {}
-        total_seconds = sum(timings.values())
-        total_work = work
+        # all before, too; work in passes over the finest matrix of this step
+        seconds_before = 0.0 if last is None else last.total_seconds
+        work_before = 0.0
         if last is not None:
-            total_seconds += last.total_seconds
-            # in passes over the finest matrix of this step
             entries = last.total_work_units * last.hierarchy.finest.matrix.nnz
-            total_work += entries / hierarchy.finest.matrix.nnz
+            work_before = entries / hierarchy.finest.matrix.nnz
         step = Step(
             number=number,
             hierarchy=hierarchy,
             result=result,
             estimate=estimate,
             timings=timings,
-            total_seconds=total_seconds,
+            total_seconds=sum(timings.values()) + seconds_before,
             work_units=work,
-            total_work_units=total_work,
+            total_work_units=work + work_before,
             path=path,
             settled=settled(estimate, None if last is None else last.estimate),
         )
         with self.clock.phase("store"):
             if self.store is not None:
-                names = ("total_seconds", "work_units", "total_work_units")
-                record = StoredStep(
-                    estimate,
-                    levels=[need_mesh(level) for level in hierarchy.levels],
-                    history=need_mesh(result).refinement,
-                    numbers={name: getattr(step, name) for name in names},
-                    timings=timings,
-                    path=path,
-                )
-                self.store.put(number, result, record)
+                self.store.put(number, result, StoredStep.of(step))
         self._remember(step)
         return step
 

@@ -97,7 +97,8 @@ class GoalView:
         contact = linearised_contact(
             discrete, u, np.where(states[at] == _NONE, State.OPEN, states[at])
         )
-        # the forces that bend slips are not known at new nodes
+        # H = g/|s| (I - f f') is left out: the limits g would come from A u - b, which is no contact force
+        # of the interpolated u
         contact = replace(contact, hessian=np.zeros_like(contact.hessian))
         return GoalView(self.problem, mesh, u, contact, self), made.origin
 
@@ -425,11 +426,12 @@ class PeakPressure:
         forces = np.maximum(-_at_nodes(source, contact.residual)[:, 0], 0.0)
         pressures = forces / source.touching.weights
         largest = pressures.max(initial=0.0) or 1.0
-        # sum w p^(q+1) / sum w p^q, over the largest pressure: powers of shares do not overflow
+        # J = sum w p^(q+1) / sum w p^q; with p and J over the largest pressure powers do not overflow
         shares = pressures / largest
         total = float(weights @ shares**self.power) or 1.0
         mean = float(weights @ shares ** (self.power + 1)) / total
-        # the derivative of the mean by the shares, times the total over the weights
+        # dJ/dp_i = w_i ((q+1) p_i^q - q J p_i^(q-1)) / sum w p^q, which does not change with that scale;
+        # p_i = -F_n/w_i with the normal force F_n of the body
         change = (self.power + 1) * shares**self.power
         change -= self.power * mean * shares ** (self.power - 1)
         local = np.zeros((len(weights), view.mesh.dim))
@@ -474,21 +476,24 @@ class Dissipation:
         on_boundary = _of_slaves(source, self.boundary) > 0
         frictions = np.where(on_boundary[:, None], _at_nodes(source, contact.residual)[:, 1:], 0.0)
         frictions[contact.held] = 0.0
-        # the product of frictions and slips varies with both: the matrix times the slips is the
-        # variation of the frictions, and the frictions are that of the slips
-        slips = np.zeros((len(on_boundary), view.mesh.dim))
-        slips[on_boundary, 1:] = -contact.slip[on_boundary]
-        tractions = np.zeros_like(slips)
-        tractions[:, 1:] = -frictions / source.touching.weights[:, None]
-        vector = view.discrete.matrix @ _direction(view, source, slips)
-        nodal = _direction(view, source, tractions).reshape(-1, view.mesh.dim)
-        forces = np.zeros_like(nodal)
-        nodes = view.touching.nodes
-        forces[nodes] = view.touching.weights[:, None] * nodal[nodes]
+        # D = -sum f_i . s_i of frictions f = (A u - b)_t and slips s = u_t - u_t^0: D'(v) = -sum (s_i .
+        # (A v)_i + f_i . v_i)
         value = float(-np.sum(frictions * contact.slip))
+        minus_slips = np.zeros((len(on_boundary), view.mesh.dim))
+        minus_slips[on_boundary, 1:] = -contact.slip[on_boundary]
+        by_frictions = view.discrete.matrix @ _direction(view, source, minus_slips)
+        # to the halved mesh forces are carried as tractions, forces over weights
+        minus_tractions = np.zeros_like(minus_slips)
+        minus_tractions[:, 1:] = -frictions / source.touching.weights[:, None]
+        carried = _direction(view, source, minus_tractions).reshape(-1, view.mesh.dim)
+        nodes = view.touching.nodes
+        by_slips = np.zeros_like(carried)
+        by_slips[nodes] = view.touching.weights[:, None] * carried[nodes]
         plane = view.mesh.dim == 2 and not view.problem.axisymmetric
         name = f"dissipated energy on {self.boundary!r}"
-        return [Functional(name, value, "J/m" if plane else "J", vector + forces.reshape(-1))]
+        return [
+            Functional(name, value, "J/m" if plane else "J", by_frictions + by_slips.reshape(-1))
+        ]
 
 
 def _of_slaves(view: GoalView, boundary: str) -> np.ndarray:

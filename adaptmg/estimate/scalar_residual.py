@@ -38,7 +38,7 @@ from adaptmg.mesh.arrays import MeshArrays, Surface, need_mesh
 from adaptmg.solver.examine import energy_norm
 from adaptmg.solver.result import Result
 
-#: directions in which the lower and the upper obstacle press
+#: directions in which the lower and the upper obstacle press; arrays (2, ...) have these two rows
 _PRESSING = np.array([[1.0], [-1.0]])
 
 
@@ -51,18 +51,14 @@ def scalar_squares(
     values = result.displacement[:, 0]
     forces = level.discrete.matrix @ values
     contact = result.contact
-    # from the lower and from the upper limit (2, n_nodes)
+    # from the limits (2, n_nodes)
     distances = _PRESSING * (values - problem.limits_at(mesh.points))
-    for name, difference, sizes in (
-        ("loads", forces - result.reaction[:, 0] - level.discrete.load, (forces, result.reaction)),
-        ("limits", distances.min(axis=0)[contact.node] - contact.gap, (values, contact.gap)),
-    ):
-        allowed = checks.SIX_DIGITS * max(np.abs(part).max(initial=0.0) for part in sizes)
-        if not (np.abs(difference) <= allowed).all():
-            raise ValueError(
-                f"result has other {name} than the problem of hierarchy: give the hierarchy it was "
-                "solved on"
-            )
+    load_of_result = forces - result.reaction[:, 0]
+    sizes = (forces, result.reaction)
+    _check_same("loads", load_of_result - level.discrete.load, sizes)
+    nearest = distances.min(axis=0)[contact.node]
+    _check_same("limits", nearest - contact.gap, (values, contact.gap))
+    # normals point into the obstacle, against its pressure
     pressures = np.zeros(distances.shape)
     pressures[:, contact.node] = contact.pressure * (contact.normal[:, 0] == -_PRESSING)
     # held nodes have no contact, but may lie on an obstacle. All of a body may lie on one at zero: then
@@ -82,6 +78,16 @@ def scalar_squares(
         "complementarity": complementarity,
         "obstacle": k * _obstacle_squares(problem, mesh, values, slopes, full_contact),
     }, energy_norm(values, forces)
+
+
+def _check_same(name: str, difference: np.ndarray, sizes: tuple[np.ndarray, np.ndarray]) -> None:
+    """Raise ValueError unless a difference of ``name`` between result and problem is rounding, of
+    quantities with these ``sizes``."""
+    allowed = checks.SIX_DIGITS * max(np.abs(part).max(initial=0.0) for part in sizes)
+    if not (np.abs(difference) <= allowed).all():
+        raise ValueError(
+            f"result has other {name} than the problem of hierarchy: give the hierarchy it was solved on"
+        )
 
 
 def _integrals(
@@ -143,8 +149,9 @@ def _obstacle_squares(
     limits = problem.limits_at(middles.reshape(-1, mesh.dim)).reshape(2, *middles.shape[:2])
     lower, upper = limits - values[edges].mean(axis=1)
     contact = full_contact[:, None]
-    distance = np.where(contact == 1, lower, np.maximum(lower, 0.0))
-    distance += np.where(contact == -1, upper, np.minimum(upper, 0.0))
+    # in full contact with the lower or the upper obstacle its distance, elsewhere the depth in either
+    depth = np.maximum(lower, 0.0) + np.minimum(upper, 0.0)
+    distance = np.select([contact == 1, contact == -1], [lower, upper], depth)
     # int |grad b|^2 of b = 4 phi_i phi_j: 32 / ((d + 1) (d + 2)) |T| (s_i.s_i + s_j.s_j + s_i.s_j)
     products = slopes @ slopes.swapaxes(1, 2)
     integrals = products[:, start, start] + products[:, end, end] + products[:, start, end]

@@ -245,19 +245,18 @@ class Solved:
     @cached_property
     def norm(self) -> float:
         """Return ||u_h||_A, sqrt(N m), of the displacement with prescribed values."""
-        unknowns, forces = self._moved
-        # the matrix A' is without the directions of inclined supports, along which u is prescribed: the
-        # terms that this takes from the energy of A
+        unknowns, forces = self._moved  # u, and A'u + (B (I - Z))'p
+        # u'Au = u'A'u - 2 u . load + constant where inclined supports prescribe ubar along Z (see
+        # discrete.supports); without initial strains the terms are only those
         parts = self.discrete.parts_under(
             forces, unknowns, strain_free=None, volumes=self.discrete.volumes
         )
         terms = parts["strain_free"]
         if terms is None:  # supports prescribe nothing along them
             return energy_norm(unknowns, forces)
-        # u'Au = u'A'u - 2 u . load + constant; p . B ubar, as forces hold B'p with B (I - Z)
         energy = unknowns @ (forces - 2 * terms.load) + terms.constant
         volumes = parts["volumes"]
-        energy += self.result.pressures @ (volumes.areas * volumes.prescribed)
+        energy += self.result.pressures @ (volumes.areas * volumes.prescribed)  # p . B ubar
         return float(np.sqrt(max(energy, 0.0)))
 
     @cached_property
@@ -391,23 +390,31 @@ def contact_tractions(
     for name in set(names):
         sides[mesh.surface(name).nodes] += 1
     tied = cast("TieForces", ties)  # read for each name
-    # sides of ties come in pairs: slave (k even), master (k odd)
     for k, name in enumerate(names):
         surface = mesh.surface(name)
-        on_side = tied.boundary == k
-        mass = surface.lumped(axisymmetric)[surface.nodes, None]
-        values = np.zeros((len(surface.nodes), mesh.dim))
-        values[np.searchsorted(surface.nodes, tied.node[on_side])] = tied.force[on_side]
-        values = np.divide(values, mass, out=np.zeros_like(values), where=mass > 0)
-        # where several meet, and at slave nodes that are not tied, the traction is that of the
-        # neighbours
-        tied_alone = sides[surface.nodes] == 1
-        if k % 2 == 0:
-            tied_alone &= np.isin(surface.nodes, tied.node[on_side])
-        _fill(surface, tied_alone, values)
-        before = tractions[name].values if name in tractions else 0.0
-        tractions[name] = SurfaceTraction(surface.facets, surface.nodes, before + values)
+        values = _tie_traction(surface, tied, k, sides[surface.nodes], axisymmetric)
+        of_contact = tractions[name].values if name in tractions else 0.0
+        tractions[name] = SurfaceTraction(surface.facets, surface.nodes, of_contact + values)
     return tractions
+
+
+def _tie_traction(
+    surface: Surface, ties: TieForces, k: int, n_sides: np.ndarray, axisymmetric: bool
+) -> np.ndarray:
+    """Return the traction (m, dim) of side k of the ties at the nodes of its boundary: nodal forces
+    over nodal masses. Nodes that several sides share (``n_sides`` (m,)), and those of a slave that are
+    not tied, get the traction of their neighbours."""
+    on_side = ties.boundary == k
+    forces = np.zeros((len(surface.nodes), ties.force.shape[1]))
+    forces[np.searchsorted(surface.nodes, ties.node[on_side])] = ties.force[on_side]
+    mass = surface.lumped(axisymmetric)[surface.nodes, None]
+    values = np.divide(forces, mass, out=np.zeros_like(forces), where=mass > 0)
+    known = n_sides == 1
+    is_slave = k % 2 == 0  # sides come in pairs of slave and master
+    if is_slave:
+        known &= np.isin(surface.nodes, ties.node[on_side])
+    _fill(surface, known, values)
+    return values
 
 
 def _fill(surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
@@ -427,38 +434,51 @@ def _fill(surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
 def _on_surface(
     mesh: MeshArrays, contact: ContactResult, name: str, axisymmetric: bool
 ) -> SurfaceTraction:
-    """Return the contact traction on a boundary: nodal forces over nodal masses. Nodes without a force
-    of this boundary get the traction of another boundary that goes straight on, or that of their
-    neighbours."""
+    """Return the contact traction on a boundary: nodal forces over nodal masses.
+
+    Of the nodes of a slave that have no force of this boundary, those of another contact boundary that
+    goes straight on get its traction, others that of their neighbours; those without any contact
+    condition keep none."""
     surface = mesh.surface(name)
     nodes = surface.nodes
-    mass = surface.lumped(axisymmetric)[surface.nodes]
-    force = np.zeros((len(nodes), mesh.dim))
-    filled = np.zeros(len(nodes), dtype=bool)
-    for k, (slave, master) in enumerate(zip(contact.names, contact.masters, strict=True)):
-        if slave == name:
-            rows = contact.boundary == k
-            at = np.searchsorted(nodes, contact.node[rows])
-            force[at] += contact.force[rows]
-            filled[at] = True
-            if not master:  # in front of an obstacle the weights contain the mass of tied nodes
-                mass[at] = np.maximum(mass[at], contact.weights[rows])
-        if name in (slave, master):
-            rows = (contact.master_boundary == k) & (contact.master_is_slave == (slave == name))
-            at = np.searchsorted(nodes, contact.master_node[rows])
-            force[at] += contact.master_force[rows]
-            filled[at] = True
+    force, mass, has_force = _contact_forces(mesh, contact, surface, name, axisymmetric)
     values = np.divide(force, mass[:, None], out=np.zeros_like(force), where=mass[:, None] > 0)
-    if name in contact.names and not filled.all():
-        # nodes that belong to another contact boundary, which may go on straight
+    if name in contact.names and not has_force.all():
         normals = np.zeros(mesh.points.shape)
         normals[contact.node] = contact.normal
         normals = normals[nodes]
         tractions = np.zeros(mesh.points.shape)
         tractions[contact.node] = contact.force / contact.weights[:, None]
-        straight = ~filled & (
+        straight = ~has_force & (
             np.einsum("nd,nd->n", normals, surface.node_normals[nodes]) > np.cos(CORNER)
         )
         values[straight] = tractions[nodes[straight]]
-        _fill(surface, filled | straight | ~normals.any(axis=1), values)
+        without_condition = ~normals.any(axis=1)
+        _fill(surface, has_force | straight | without_condition, values)
     return SurfaceTraction(surface.facets, nodes, values)
+
+
+def _contact_forces(
+    mesh: MeshArrays, contact: ContactResult, surface: Surface, name: str, axisymmetric: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the contact forces (m, dim) of a boundary ``name`` at the nodes of its ``surface``, as
+    slave and as master, their masses (m,), and the mask (m,) of nodes that have forces."""
+    nodes = surface.nodes
+    mass = surface.lumped(axisymmetric)[nodes]
+    force = np.zeros((len(nodes), mesh.dim))
+    has_force = np.zeros(len(nodes), dtype=bool)
+    for k, (slave, master) in enumerate(zip(contact.names, contact.masters, strict=True)):
+        if slave == name:
+            rows = contact.boundary == k
+            at = np.searchsorted(nodes, contact.node[rows])
+            force[at] += contact.force[rows]
+            has_force[at] = True
+            # in front of an obstacle a node takes over the forces of tied ones, and with them their mass
+            if not master:
+                mass[at] = np.maximum(mass[at], contact.weights[rows])
+        if name in (slave, master):
+            rows = (contact.master_boundary == k) & (contact.master_is_slave == (slave == name))
+            at = np.searchsorted(nodes, contact.master_node[rows])
+            force[at] += contact.master_force[rows]
+            has_force[at] = True
+    return force, mass, has_force
