@@ -43,7 +43,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, cut_force, cut_stiffness
 from adaptmg.grids import Grids
 from adaptmg.level import Level
-from adaptmg.mesh.arrays import need_mesh
+from adaptmg.mesh.arrays import MeshArrays, need_mesh
 from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.loads import Preload
@@ -107,8 +107,23 @@ class Past:
     last: np.ndarray  # solution (n_unknowns,) after the step before
     extrapolated: np.ndarray  # (n_unknowns,): from the last two steps in the loads
     given: bool  # whether there was a step before
-    near: bool = False  # whether ``extrapolated`` is a solution of this step with other motions
+    #: whether ``extrapolated`` comes from elsewhere, as a solution of this step with other motions: then it
+    #: is the start
+    near: bool = False
     loose: float = 0.0  # tolerance that suffices, if it is larger than that of the solver
+
+    @classmethod
+    def near_to(cls, start: np.ndarray, loose: float) -> Past:
+        """Return what a step begins with that has one ``start`` (n_unknowns,)."""
+        return cls(
+            levels=[],
+            extrapolated_levels=[],
+            last=start,
+            extrapolated=start,
+            given=True,
+            near=True,
+            loose=loose,
+        )
 
 
 def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
@@ -164,7 +179,8 @@ def step_outcome(
     """Solve a step by its extrapolation; where this is not accurate, as :func:`resumed` does, or with
     other solvers, :func:`restarted`."""
     is_truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
-    # under unchanged loads friction at its bound without slip has no direction: Newton steps may cycle
+    # an ActiveSet that repeats the loads would find no slip, and so no direction for friction at its bound,
+    # and its Newton steps may cycle: the old solution comes first
     is_repeated = isinstance(solver, ActiveSet) and np.array_equal(past.extrapolated, past.last)
     extrapolates = past.given and not past.near and (is_truncated or is_repeated)
     rtol = getattr(solver, "rtol", None)
@@ -213,35 +229,44 @@ def resumed(
         multigrid.pose(hierarchy, run)
     multigrid.rtol = solver.rtol if isinstance(solver.rtol, str) else max(solver.rtol, past.loose)
     coarse = None
-    kind = "given" if past.given else "zero"
+    origin = "given" if past.given else "zero"
     if past.near:
         start = past.extrapolated
     elif isinstance(solver, FullMultigrid):
-        levels_before = past.levels if past.given else None
-        *coarse_solutions, start = multigrid.nested_start(solver.start, levels_before)
-        coarse = [
-            coarse_problem.parts(solution)[0]
-            for coarse_problem, solution in zip(
-                multigrid.problems[:-1], coarse_solutions, strict=True
-            )
-        ]
-        kind = "given" if past.given else "nested"
-        if past.given:
-            # the pressures of the last step, next to the displacement of the nested start
-            start[problem.n_dofs :] = past.last[problem.n_dofs :]
-        with run.phase("start"):
-            # a nested start that sets the tolerance is needed
-            if past.given and solver.rtol != "discretisation":
-                extrapolated_residual = examiner.relative_residual(past.extrapolated)
-                if extrapolated_residual <= _EXTRAPOLATE * examiner.relative_residual(start):
-                    start = past.extrapolated
+        start, coarse = _nested_start(solver, multigrid, examiner, run, past)
+        origin = "given" if past.given else "nested"
     elif past.given:
         start = better_start(examiner, past, run)
     else:
         start = np.zeros(problem.n_unknowns)
-    outcome = multigrid.finish(problem.from_prescribed(start), kind)
+    outcome = multigrid.finish(problem.from_prescribed(start), origin)
     # after a cycle that diverged the set-up is not used again
     return outcome, None if outcome.left else multigrid, coarse
+
+
+def _nested_start(
+    solver: FullMultigrid, multigrid: TruncatedRun, examiner: Examiner, run: Run, past: Past
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return the nested start (n_unknowns,) of a step, which carries the change of the step, or the
+    extrapolation where this leaves far less residual, and the displacements of the coarse levels."""
+    problem = multigrid.problems[-1]
+    levels_before = past.levels if past.given else None
+    *coarse_solutions, start = multigrid.nested_start(solver.start, levels_before)
+    coarse = [
+        coarse_problem.parts(solution)[0]
+        for coarse_problem, solution in zip(multigrid.problems[:-1], coarse_solutions, strict=True)
+    ]
+    if not past.given:
+        return start, coarse
+    # the pressures of the last step, next to the displacement of the nested start
+    start[problem.n_dofs :] = past.last[problem.n_dofs :]
+    if solver.rtol == "discretisation":  # the tolerance comes from the nested start
+        return start, coarse
+    with run.phase("start"):
+        extrapolated_residual = examiner.relative_residual(past.extrapolated)
+        if extrapolated_residual <= _EXTRAPOLATE * examiner.relative_residual(start):
+            start = past.extrapolated
+    return start, coarse
 
 
 @dataclass(frozen=True)
@@ -326,48 +351,62 @@ class Controls:
             np.abs(discrete.matrix.data[:, range(discrete.dim), range(discrete.dim)]).max()
         )
         first = 0
-        for number, obstacle in self.rigid.items():
-            dim = obstacle.dim
-            loaded = obstacle.loaded(factors).targets
-            targets = loaded[list(obstacle.free)]
-            force = float(np.linalg.norm(np.nan_to_num(loaded[:dim])))
-            problem = cast("ContactProblem", self.problem)
-            nodes = mesh.surface(problem.contact[number].boundary).nodes
-            extent = float(np.linalg.norm(np.ptp(mesh.points[nodes], axis=0)))
-            is_rotation = np.arange(3 * dim - 3)[list(obstacle.free)] >= dim
-            # rotations and moments are divided by sizes with the extent of the boundary as arm
-            arms = np.where(is_rotation, extent, 1.0)
-            result.append(
-                _Unknowns(
-                    obstacle.name,
-                    first,
-                    targets,
-                    sizes=force / stiffness / arms,
-                    force_sizes=force * arms,
-                    free=obstacle.free,
-                    number=number,
-                )
-            )
-            first += len(targets)
+        for number in self.rigid:
+            result.append(self._obstacle_unknowns(number, first, factors, mesh, stiffness))
+            first += len(result[-1].targets)
         for bolt in self.bolts:
-            name = bolt.path_name
-            if factors[name] == self.factors.get(name, 0.0):
-                continue
-            # the target of a bolt that is released is 0: its scale is the force that it had
-            force = bolt.force * max(abs(factors[name]), abs(self.factors.get(name, 0.0)))
-            material = cast("ContactProblem", self.problem).material
-            strain = force / cut_stiffness(mesh, material, bolt)
-            result.append(
-                _Unknowns(
-                    name,
-                    first,
-                    targets=np.array([factors[name] * bolt.force]),
-                    sizes=np.array([strain]),
-                    force_sizes=np.array([force]),
-                )
-            )
-            first += 1
+            # a bolt whose force stays keeps its strain
+            if factors[bolt.path_name] != self.factors.get(bolt.path_name, 0.0):
+                result.append(self._bolt_unknown(bolt, first, factors, mesh))
+                first += 1
         return result
+
+    def _obstacle_unknowns(
+        self,
+        number: int,
+        first: int,
+        factors: Mapping[str, float],
+        mesh: MeshArrays,
+        stiffness: float,
+    ) -> _Unknowns:
+        """Return the free motions of the obstacle of contact ``number``. The size of displacements is
+        the prescribed force over the largest ``stiffness`` of a node; moments and rotations have the
+        extent of the boundary as arm."""
+        obstacle = self.rigid[number]
+        problem = cast("ContactProblem", self.problem)
+        dim = obstacle.dim
+        free = list(obstacle.free)
+        targets = obstacle.loaded(factors).targets
+        force = float(np.linalg.norm(np.nan_to_num(targets[:dim])))
+        nodes = mesh.surface(problem.contact[number].boundary).nodes
+        extent = float(np.linalg.norm(np.ptp(mesh.points[nodes], axis=0)))
+        is_rotation = np.arange(3 * dim - 3)[free] >= dim
+        arms = np.where(is_rotation, extent, 1.0)
+        return _Unknowns(
+            obstacle.name,
+            first,
+            targets[free],
+            sizes=force / stiffness / arms,
+            force_sizes=force * arms,
+            free=obstacle.free,
+            number=number,
+        )
+
+    def _bolt_unknown(
+        self, bolt: Preload, first: int, factors: Mapping[str, float], mesh: MeshArrays
+    ) -> _Unknowns:
+        """Return the strain of a bolt. Its size is that of the force in the bolt alone; where a bolt is
+        released, whose force becomes 0, that of the force that it had."""
+        name = bolt.path_name
+        force = bolt.force * max(abs(factors[name]), abs(self.factors.get(name, 0.0)))
+        material = cast("ContactProblem", self.problem).material
+        return _Unknowns(
+            name,
+            first,
+            targets=np.array([factors[name] * bolt.force]),
+            sizes=np.array([force / cut_stiffness(mesh, material, bolt)]),
+            force_sizes=np.array([force]),
+        )
 
     def motions_of(self, parts: Sequence[_Unknowns], values: np.ndarray) -> dict[str, np.ndarray]:
         """Return all motions, by name, with the values (n,) of the unknowns in them."""
@@ -508,17 +547,16 @@ class Guide:
 
     def better_values(self, values: np.ndarray, missed: np.ndarray) -> np.ndarray:
         """Return better values than those with which the finest level misses the forces by
-        ``missed``. The first time they come from a search on the finest level. Later, and where
-        its factors take too much memory, one Newton step on the level of the search before
-        corrects the values by what is missed."""
-        searched = self.level_number == self.finest_number
-        if searched or not factorisable(self.controls.level.discrete):
-            try:
-                return values + self._balancing_change(values, -missed)
-            except ValueError:  # singular equations: the finest level goes on from its values
-                return values
-        self.level_number = self.finest_number
-        return self.balanced_values(values)
+        ``missed``: those of this guide on the finest level. Where it was on this level already, or the
+        factors of that take too much memory, a Newton step corrects the values by what is missed."""
+        is_coarse = self.level_number < self.finest_number
+        if is_coarse and factorisable(self.controls.level.discrete):
+            self.level_number = self.finest_number
+            return self.balanced_values(values)
+        try:
+            return values + self._balancing_change(values, -missed)
+        except ValueError:  # singular equations: the finest level goes on from its values
+            return values
 
     def stiffness(self, values: np.ndarray) -> np.ndarray | None:
         """Return the Jacobian (n, n) of forces by motions, as the inverse of the differences of motions
@@ -537,31 +575,20 @@ class Guide:
 
         The motions are unknowns of one contact problem in displacements relative to obstacles,
         :math:`u = v + M z` at the nodes that they may touch, with the matrix :math:`(I\; M)^T A\,
-        (I\; M)` and the load :math:`(b, M^T b + F^*)`. Soft springs hold motions that nothing
-        resists."""
+        (I\; M)` and the load :math:`(b, M^T b + F^*)`. All z are lengths, rotations times their arm, and
+        F* forces, moments over it: one spring, soft, holds each motion that nothing resists."""
         motions = self.controls.motions_of(self.all_parts, values * self.sizes)
         posed = self.posed(motions)
         discrete = posed[self.level_number].discrete
         n = self.size
         dim = discrete.dim
-        contact = discrete.contact
-        # M: the displacements of nodes by each motion
-        moves = np.zeros((discrete.n_nodes, dim, n))
-        scales = np.zeros(n)
-        forces = np.zeros(n)
-        for part in self.parts:
-            nodes = contact.nodes[contact.boundary == part.number]
-            arms = (
-                cast("np.ndarray", discrete.coordinates)[nodes]
-                - self.controls.rigid[cast("int", part.number)].about
-            )
-            scales[part.indices] = part.sizes / part.sizes[0]
-            forces[part.indices] = part.targets + part.force_sizes * extra[part.indices]
-            part_moves = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
-            moves[nodes, :, part.indices] = part_moves * scales[part.indices]
-        moves = np.stack([discrete.free_part(moves[:, :, k]) for k in range(n)], axis=1)
-        # columns of zeros, which are fixed, complete the last block of the matrix
-        moves = np.pad(moves, ((0, 0), (0, -n % dim)))
+        # motions over z: 1, or 1 over the arm
+        scales = np.concatenate([part.sizes / part.sizes[0] for part in self.parts])
+        forces = np.concatenate(
+            [part.targets + part.force_sizes * extra[part.indices] for part in self.parts]
+        )
+        # the matrix has blocks of dim dofs: motions that are fixed complete the last one
+        moves = np.pad(self._moves(discrete, scales), ((0, 0), (0, -n % dim)))
         padded = moves.shape[1]
         basis = sparse.hstack([sparse.eye_array(discrete.n_dofs), sparse.csr_array(moves)], "csr")
         soft = _SOFT * np.abs(discrete.matrix.diagonal()).max()
@@ -577,15 +604,28 @@ class Guide:
             fixed_values=np.pad(discrete.fixed_values, (0, padded)),
             inclined=discrete.inclined,
             law=discrete.law,
-            contact=contact,
+            contact=discrete.contact,
             volumes=replace(discrete.volumes, rows=discrete.volumes.rows @ basis),
         )
         run = Run(unit=posed.finest.discrete.matrix.nnz)
         with run.phase("start"):
             outcome = ActiveSet().run(Grids.single(problem), run, None)
         self.spent.append(run)
-        motion = outcome.solution[discrete.n_dofs :][:n]
-        return motion * scales / self.sizes[:n]
+        z = outcome.solution[discrete.n_dofs :][:n]
+        return z * scales / self.sizes[:n]
+
+    def _moves(self, discrete: DiscreteProblem, scales: np.ndarray) -> np.ndarray:
+        """Return M (n_dofs, n): the free parts of the displacements of contact nodes in each motion of
+        the size ``scales`` (n,)."""
+        contact = discrete.contact
+        points = cast("np.ndarray", discrete.coordinates)
+        moves = np.zeros((discrete.n_nodes, discrete.dim, self.size))
+        for part in self.parts:
+            nodes = contact.nodes[contact.boundary == part.number]
+            arms = points[nodes] - self.controls.rigid[cast("int", part.number)].about
+            of_unit = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
+            moves[nodes, :, part.indices] = of_unit * scales[part.indices]
+        return np.stack([discrete.free_part(moves[:, :, k]) for k in range(self.size)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -629,7 +669,8 @@ class Search(Generic[Carried]):
         if self.cycles >= self.budget:
             raise _Exhausted
         motions = self.controls.motions_of(self.parts, values * self.sizes)
-        # a bolt shortened too far pulls with many times its force
+        # callers take a share of the force that was missed, which is many times the prescribed one where
+        # a bolt was shortened too far
         loose = min(loose, _LOOSE)
         result, carried = self.solve(motions, None if near is None else near.result, loose)
         self.spent.append(result)
@@ -649,10 +690,14 @@ class Search(Generic[Carried]):
         return not trial.loosened and bool(np.abs(trial.missed).max() <= most)
 
     def run(self, trial: _Trial[Carried], guide: Guide | None) -> _Trial[Carried]:
-        """Return the last trial; a guide, if there is one, makes the first Jacobian, and better
-        values where that does not lead to the solution."""
-        # size of the last changes of the values, to which differences are scaled
-        reach = 1.0
+        """Return the last trial of Broyden's method, whose steps are Newton's with Jacobians that each
+        trial updates.
+
+        The first Jacobian is that of the guide, if there is one. If it has none, or its step does not
+        reduce what is missed to the share ``_SLOW``, the guide gives better values, and the method
+        begins there without it: Jacobians come by differences. Their steps are always accepted; where
+        an updated one reduces hardly anything, differences at the same trial replace it."""
+        reach = 1.0  # size of the last changes of the values, to which differences are scaled
         jacobian = None
         self.budget = self.cycles - trial.result.cycles + self.limit
         while trial.result.status.ok and not self.reached(trial) and len(self.spent) < _MOST:
@@ -667,14 +712,7 @@ class Search(Generic[Carried]):
                 if trial.loosened:  # as accurate as the differences
                     trial = self.trial_at(trial.values, trial, _EXACT * reach)
                 jacobian = self.differences(trial, reach)
-            # Newton's step in the directions that resist; then Broyden's update of the Jacobian
-            left_vectors, stiffnesses, right_vectors = np.linalg.svd(jacobian)
-            noise = _EXACT / _DIFFERENCE if by_differences else 0.0
-            resisted = stiffnesses > max(checks.SIX_DIGITS * stiffnesses[0], noise)
-            components = left_vectors.T @ trial.missed
-            if by_differences and np.abs(components[~resisted]).max(initial=0.0) > 1e-3:
-                raise nothing_resists(self.parts)
-            change = -right_vectors[resisted].T @ (components[resisted] / stiffnesses[resisted])
+            change = self.newton_change(jacobian, trial.missed, by_differences)
             missed_size = max(np.abs(trial.missed).max(), trial.result.rtol)
             new = self.trial_at(trial.values + change, trial, _LOOSE * missed_size)
             new_missed_size = np.abs(new.missed).max()
@@ -691,6 +729,21 @@ class Search(Generic[Carried]):
             reach = max(np.abs(change).max(), 0.1 * reach)
             trial = new
         return trial
+
+    def newton_change(
+        self, jacobian: np.ndarray, missed: np.ndarray, by_differences: bool
+    ) -> np.ndarray:
+        """Return the change d (n,) of least size with J d = -``missed`` in the directions of forces that
+        resist, where the singular values of J are not rounding; ValueError where differences show that
+        nothing resists a direction in which forces are missed."""
+        left_vectors, stiffnesses, right_vectors = np.linalg.svd(jacobian)
+        # of tolerance over step, of differences
+        noise = _EXACT / _DIFFERENCE if by_differences else 0.0
+        resisted = stiffnesses > max(checks.SIX_DIGITS * stiffnesses[0], noise)
+        components = left_vectors.T @ missed
+        if by_differences and np.abs(components[~resisted]).max(initial=0.0) > 1e-3:
+            raise nothing_resists(self.parts)
+        return -right_vectors[resisted].T @ (components[resisted] / stiffnesses[resisted])
 
     def differences(self, trial: _Trial[Carried], reach: float) -> np.ndarray:
         """Return the Jacobian (n, n) at a trial, by differences over a share of ``reach``."""

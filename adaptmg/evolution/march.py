@@ -54,7 +54,7 @@ from adaptmg.problem.load_path import obstacles_in_path
 from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import advise_on_motion, advise_on_problem, once
-from adaptmg.solver.examine import Examiner, euclidean_norm
+from adaptmg.solver.examine import ContactResult, Examiner, euclidean_norm
 from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.multigrid import Multigrid, handed_over
 from adaptmg.solver.outcome import (
@@ -377,19 +377,7 @@ class March:
             # a start with the acceleration of the step before lets errors that alternate grow, up to
             # the tolerance
             first = discrete.relative(admissible - shift).reshape(-1)
-            # large where bodies have flown far, and a step is so long that their mass counts little
-            noise = self.rounding * np.abs([self.displacement, admissible - shift]).max()
-            loose = noise / (StopTest.RESIDUAL_FACTOR * euclidean_norm(discrete.load) or 1.0)
-            loose = min(loose, _MOST_ROUNDING)
-            past = Past(
-                levels=[],
-                extrapolated_levels=[],
-                last=first,
-                extrapolated=first,
-                given=True,
-                near=True,
-                loose=loose,
-            )
+            past = Past.near_to(first, self._rounding_tolerance(admissible - shift, discrete.load))
         outcome, self.multigrid, _ = step_outcome(
             self.step_solver, self.multigrid, grids, examiner, run, past
         )
@@ -403,6 +391,14 @@ class March:
         if certified:
             advise_on_motion(self.posed, result)
         return result
+
+    def _rounding_tolerance(self, start: np.ndarray, load: np.ndarray) -> float:
+        """Return the tolerance that rounding of K u leaves, eps |diag K| |u|_max over the load, for a
+        step with this ``start`` (n_nodes, dim): large where bodies have flown far, and a step is so long
+        that their mass counts little."""
+        rounding = self.rounding * np.abs([self.displacement, start]).max()
+        tolerance = rounding / (StopTest.RESIDUAL_FACTOR * euclidean_norm(load) or 1.0)
+        return min(tolerance, _MOST_ROUNDING)
 
     def take(self, result: Result) -> None:
         """Continue after a step with its result."""
@@ -446,40 +442,46 @@ class March:
         step = self.dynamics.step
         contact = result.contact
         displacement = result.displacement + shift
-        change = displacement - self.displacement
         velocity_change = 2 / step * (displacement - admissible)  # 2/tau (u^(k+1) - u_p)
         velocity = self.velocity + velocity_change
         internal = self._internal(displacement)
-        # conditions of nodes that take over a part of others are sums, contact results are means
-        share = contact.measures / contact.weights
-        # only of closed nodes: at open ones the tolerance leaves forces, and gaps may be long
-        closing = (self._overlap(self.displacement) + share * contact.gap) * contact.closed
-        friction_work = np.sum(contact.force_t * contact.slip, axis=1)
-        # (u^(k+1) - u^k) . K (u^(k+1) - u^k), and 2/tau^2 (u_p - u~) . M (u^(k+1) - u_p)
-        damped_work = np.sum(change * (internal - self.internal))
-        pushed = np.sum((admissible - free) * self.mass * velocity_change) / step
+        change = displacement - self.displacement
+        # 2/tau^2 (u_p - u~) . M (u^(k+1) - u_p), and (u^(k+1) - u^k) . K (u^(k+1) - u^k)
+        by_impact = np.sum((admissible - free) * self.mass * velocity_change) / step
+        damped = np.sum(change * (internal - self.internal))
+        by_friction, by_gaps = self._contact_losses(contact)
         losses = {
-            "friction": -np.sum(share * friction_work),
-            "contact": pushed - np.sum(contact.force_n * closing),
-            "damping": self.dynamics.damping / step * damped_work,
+            "friction": by_friction,
+            "contact": by_impact + by_gaps,
+            "damping": self.dynamics.damping / step * damped,
         }
         energies = {
             "kinetic": 0.5 * np.sum(self.mass * velocity**2),
             "strain": 0.5 * np.sum(displacement * internal),
             "load": -np.sum(displacement * self.forces),
         } | {cause: self.lost_energies[cause] + loss for cause, loss in losses.items()}
-        shifted = self.discrete.at_contact(self.discrete.relative(shift)) / share[:, None]
-        shifted_local = to_frames(contact.frames, shifted)
-        moved = replace(
-            contact,
-            u_n=contact.u_n + shifted_local[:, 0],
-            u_t=contact.u_t + shifted_local[:, 1:],
-        )
         return replace(
             result,
             displacement=displacement,
-            contact=moved,
+            contact=self._shifted_back(contact, shift),
             time=(k + 1) * step,
             velocity=velocity,
             energies={name: float(value) for name, value in energies.items()},
         )
+
+    def _contact_losses(self, contact: ContactResult) -> tuple[float, float]:
+        """Return the energies -F . (u^(k+1) - u^k), N m, that friction takes on slips, and normal forces on
+        the change g^(k+1) - g^k of gaps."""
+        # conditions of nodes that take over a part of others are sums, contact results are means
+        share = contact.measures / contact.weights
+        friction_work = np.sum(contact.force_t * contact.slip, axis=1)
+        # only of closed nodes: at open ones the tolerance leaves forces, and gaps may be long
+        opening = (self._overlap(self.displacement) + share * contact.gap) * contact.closed
+        return -np.sum(share * friction_work), -np.sum(contact.force_n * opening)
+
+    def _shifted_back(self, contact: ContactResult, shift: np.ndarray) -> ContactResult:
+        """Return a contact result relative to a ``shift`` (n_nodes, dim) with whole displacements."""
+        share = contact.measures / contact.weights  # as in _contact_losses
+        shifted = self.discrete.at_contact(self.discrete.relative(shift)) / share[:, None]
+        moved = to_frames(contact.frames, shifted)
+        return replace(contact, u_n=contact.u_n + moved[:, 0], u_t=contact.u_t + moved[:, 1:])

@@ -98,25 +98,26 @@ class PlasticLoop(PathLoop):
         }
 
     def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
-        """Solve step k, as a whole or, where Newton's method fails, part by part: ``reached`` is the share
-        of its loads that is solved, ``part`` the size of the next part."""
-        reached = 0.0
-        part = 1.0
+        """Solve step k, as a whole or, where Newton's method fails, in increments of its loads, which are
+        halved until they are solved."""
+        solved_share = 0.0
+        increment = 1.0
         while True:
-            # what a part that fails has changed is undone; controls are changed in place, and copied
+            # to undo what a solve that fails has changed: the solutions of the steps before, multigrid, slips
+            # (replaced), and motions (in place, in the controls)
             state_before = dict(vars(self), controls=copy.copy(self.controls))
-            self.share = min(reached + part, 1.0)
+            self.share = min(solved_share + increment, 1.0)
             result = super().step(k, progress)
             if result.status.ok:
-                reached = self.share
+                solved_share = self.share
                 self.state = _state_of(result)
-            # the first step of a path that goes on from a result repeats its loads: it has no parts
-            elif part > _SMALLEST and not (k == 0 and self.continued):
+            # the first step of a path that goes on from a result repeats its loads: it has no increments
+            elif increment > _SMALLEST and not (k == 0 and self.continued):
                 vars(self).update(state_before)
-                part /= 2
-                _LOG.info("step %d: Newton's method fails; going on in parts of %g", k, part)
+                increment /= 2
+                _LOG.info("step %d: Newton's method fails; going on in parts of %g", k, increment)
                 continue
-            if reached == 1.0 or not result.status.ok:
+            if solved_share == 1.0 or not result.status.ok:
                 self.share = 1.0
                 return result
 
@@ -197,9 +198,13 @@ class _Newton:
         self.cycles = 0
 
     def run(self, at: Response) -> tuple[Outcome, Grids]:
-        """Return the outcome, and the hierarchy with the tangent at the solution."""
+        """Return the outcome, and the hierarchy with the tangent at the solution.
+
+        The method ends with an iterate that the certificate finds accurate enough, which is asked only
+        after a contact problem that was solved to ``rtol``, the last one so far; with a contact problem
+        that cannot be solved; or after ``_MOST`` of them."""
         self.at = at
-        tolerance = _FIRST
+        tolerance = _FIRST  # of the next contact problem; at most rtol after the last one
         status = Status.LIMIT
         error = np.nan
         for number in range(_MOST + 1):
@@ -215,16 +220,17 @@ class _Newton:
                     break
             if number == _MOST:
                 break
-            last = tolerance <= self.rtol
+            last = tolerance <= self.rtol  # if the certificate then agrees
             outcome = self._contact_problem(grids, max(tolerance, self.rtol), last)
+            # a limit of cycles is enough progress for an inexact step
             if outcome.status in (Status.DIVERGED, Status.STALLED, Status.CYCLING):
                 status = outcome.status
                 break
             tangent_before = self.at.tangent
             change = self._go(tangent, outcome.solution)
-            # a share of the last change, or where that is small its square
+            # Newton's method converges quadratically: a share of the last change, or where that is small
+            # its square; where the tangent stays, the next contact problem is exact
             tolerance = min(tolerance, min(_SHARE, change) * change)
-            # the tangent stays: the next contact problem is the last one
             if np.array_equal(tangent_before, self.at.tangent):
                 tolerance = min(tolerance, self.rtol)
             self.recorder.record(
