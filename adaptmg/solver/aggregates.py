@@ -97,7 +97,7 @@ def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
 
 
 def _joined(
-    graph: sparse.csr_array, label: np.ndarray, group: np.ndarray, sizes: np.ndarray
+    matrix: sparse.bsr_array, label: np.ndarray, group: np.ndarray, sizes: np.ndarray
 ) -> np.ndarray:
     """Return the labels after small aggregates (remnants) have joined their smallest neighbour in the
     same group."""
@@ -107,6 +107,12 @@ def _joined(
     group_of[label[inside]] = group[inside]
     remnant = _REMNANT * members < sizes[group_of]
     nodes = np.flatnonzero(inside & remnant[label])
+    if not len(nodes):
+        return label
+    graph = sparse.csr_array(
+        (np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr),
+        shape=(len(label), len(label)),
+    )
     edges = graph[nodes].tocoo()
     # (n_edges,): the remnant at one end of an edge, and the aggregate at its other end
     aggregate = label[nodes[edges.row]]
@@ -196,10 +202,7 @@ class Aggregates:
             label,
             *np.empty((2, n), dtype=np.int32),
         )
-        graph = sparse.csr_array(
-            (np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr), shape=(n, n)
-        )
-        label = _joined(graph, label, group, sizes)
+        label = _joined(matrix, label, group, sizes)
         self.count = int(label.max(initial=-1)) + 1
         points = np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates
         self.offsets = _offsets(points[:, :dim], label, self.count)

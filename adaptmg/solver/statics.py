@@ -26,7 +26,6 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
-from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
@@ -37,7 +36,7 @@ from adaptmg.discrete.problem import DiscreteProblem, remembered, remembered_of_
 from adaptmg.grids import Grids
 from adaptmg.problem.laws import sampled_friction
 from adaptmg.problem.loads import PointSpring, Spring
-from adaptmg.smoother.factorisation import condense_problem
+from adaptmg.smoother.factorisation import condense_problem, node_graph
 from adaptmg.smoother.system import STICK, contact_blocks
 from adaptmg.solver.advice import advise, critical_coefficients, warn_where_steep
 from adaptmg.solver.examine import ContactResult
@@ -67,15 +66,7 @@ def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, 
     motions; None if the rigid motions are unknown."""
     if problem.near_nullspace is None:
         return None
-    graph = sparse.csr_array(
-        (
-            np.ones(len(problem.matrix.indices), dtype=np.int8),
-            problem.matrix.indices,
-            problem.matrix.indptr,
-        ),
-        shape=(problem.n_nodes, problem.n_nodes),
-    )
-    n_bodies, body_of = connected_components(graph, directed=True, connection="weak")
+    n_bodies, body_of = connected_components(node_graph(problem.matrix), connection="weak")
     stiff = problem.matrix @ problem.near_nullspace
     bodies = np.split(np.argsort(body_of, kind="stable"), np.cumsum(np.bincount(body_of))[:-1])
     # a single node is not an elastic body: only its diagonal block can hold it
