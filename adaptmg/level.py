@@ -244,12 +244,16 @@ def the_transfer(transfer: Transfer | None) -> Transfer:
 
 def level_of(problem: ContactProblem | ScalarProblem, mesh: MeshArrays) -> Level:
     """Return the problem on a mesh."""
-    from adaptmg.discrete.discretise import assembled
-
     if isinstance(problem, ScalarProblem):
         return Level(problem.on(mesh), mesh)
-    posed = Posed.of(problem, mesh)
-    return Level(assembled(posed), mesh, posed=posed)
+    return discretised_level(Posed.of(problem, mesh))
+
+
+def discretised_level(posed: Posed) -> Level:
+    """Return a contact problem that is posed on a mesh, discretised there."""
+    from adaptmg.discrete.discretise import assembled
+
+    return Level(assembled(posed), posed.mesh, posed=posed)
 
 
 #: unknowns up to which one solve takes the finest of several levels alone, by dimension. Seconds of hierarchy and solve
@@ -265,8 +269,11 @@ def is_small(problem: DiscreteProblem) -> bool:
 
 
 def level_on_demand(problem: ContactProblem | ScalarProblem, mesh: MeshArrays) -> Level:
-    """Return the problem on a mesh, discretised when it is first read."""
-    return Level.on_demand(partial(level_of, problem, mesh), mesh=mesh)
+    """Return the problem on a mesh, a contact problem discretised when it is first read."""
+    if isinstance(problem, ScalarProblem):
+        return level_of(problem, mesh)
+    posed = Posed.of(problem, mesh)  # what does not fit is refused at once
+    return Level.on_demand(partial(discretised_level, posed), mesh=mesh, posed=posed)
 
 
 def level_under(problem: ContactProblem, level: Level, changed: frozenset[str]) -> Level:
