@@ -290,8 +290,8 @@ test_refusals = refused(
     (lambda: am.Hierarchy.from_meshes(BAR, RENAMED), "'bottom', used for contact, does not exist"),
     (lambda: am.Hierarchy.from_meshes(BAR, BLOCKS), "3D"),
     # coarse levels of small problems are discretised later
-    (lambda: am.Hierarchy.from_meshes(BAR, [BLOCKS[0], three()[1].mesh]), "3D"),
-    (lambda: am.Hierarchy.from_meshes(BAR, [RENAMED, three()[1].mesh]), "'bottom', used for"),
+    (lambda: am.Hierarchy.from_meshes(BAR, [BLOCKS[0], three()[2].mesh]), "3D"),
+    (lambda: am.Hierarchy.from_meshes(BAR, [RENAMED, three()[2].mesh]), "'bottom', used for"),
     # bodies that touch have nodes at the same places
     (
         lambda: am.Hierarchy.graded(JOINT, (10e-3, 6e-3), contact_ratio=2, transfer=Nearest()),
