@@ -56,13 +56,14 @@ def _levels(step: TruncatedStep) -> list[CorrectionLevel]:
     # of the level of the step the cycle reads the contact nodes only: the state has the residual
     finest = levels[step.number].matrix
     identity = sparse.bsr_array(sparse.eye_array(finest.n_dofs))
-    fine = _level(identity, finest.fixed, step.contact.nodes)
+    fixed = mask_of(finest.fixed, finest.n_dofs)
+    fine = CorrectionLevel(LocalSystem.from_matrix(identity, fixed, step.contact.nodes))
     result = [fine]  # finest first
     for number in range(step.number - 1, -1, -1):
-        fixed = levels[number].matrix.fixed
         prolongation = levels[number + 1].prolongation
+        fixed = mask_of(levels[number].matrix.fixed, prolongation.shape[1])
         # columns of fixed coarse nodes are zero: values there do not reach the finer levels
-        free = sparse.diags_array((~mask_of(fixed, prolongation.shape[1])).astype(float))
+        free = sparse.diags_array((~fixed).astype(float))
         fine.prolongation = sparse.csr_array(prolongation @ free)
         fine.restriction = sparse.csr_array(fine.prolongation.T)
         # coarse nodes are contact nodes where they reach some of the fine ones
@@ -70,12 +71,7 @@ def _levels(step: TruncatedStep) -> list[CorrectionLevel]:
         contact_rows.eliminate_zeros()
         nodes = np.unique(contact_rows.indices)
         fine.contact_prolongation = contact_rows[:, nodes]
-        fine = _level(step.base_matrix(number), fixed, nodes)
+        system = LocalSystem.from_matrix(step.base_matrix(number), fixed, nodes)
+        fine = CorrectionLevel(system)
         result.append(fine)
     return result[::-1]
-
-
-def _level(matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray) -> CorrectionLevel:
-    """Return a level with the numbers of its fixed dofs and of its contact nodes, without transfers."""
-    system = LocalSystem.from_matrix(matrix, mask_of(fixed, matrix.shape[0]), nodes)
-    return CorrectionLevel(system)

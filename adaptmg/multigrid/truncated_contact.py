@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
@@ -40,6 +40,17 @@ from adaptmg.smoother.system import (
     local_contact,
     turn_held,
 )
+
+Instance = TypeVar("Instance")
+
+
+def with_fields(instance: Instance, **changes: object) -> Instance:
+    """Return a copy of a dataclass with some fields changed, in a tenth of the time of
+    dataclasses.replace."""
+    result = object.__new__(type(instance))
+    vars(result).update(vars(instance), **changes)
+    return result
+
 
 #: rows and columns of the upper triangle of a block; numpy takes 30 us to find them
 UPPER = {dim: np.triu_indices(dim) for dim in (1, 2, 3)}
@@ -153,12 +164,9 @@ class TruncatedContact:
 
     def copy(self) -> TruncatedContact:
         """Return these nodes with copies of the values and the status."""
-        result = object.__new__(TruncatedContact)
-        vars(result).update(vars(self))
-        result.values = self.values.copy()
-        result.codes = self.codes.copy()
-        result.pressure = self.pressure.copy()
-        return result
+        return with_fields(
+            self, values=self.values.copy(), codes=self.codes.copy(), pressure=self.pressure.copy()
+        )
 
     @property
     def node_frames(self) -> np.ndarray:

@@ -14,7 +14,6 @@ one slot number: L first, then the diagonal, then U."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic, TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -139,22 +138,9 @@ class _ChangedBlocks(_Changed):
         return self._change
 
 
-Changed = TypeVar("Changed", bound=_Changed)
-
-
-class _Update(Generic[Changed]):
-    """Changes the levels ``below`` the finest one, the finest of them first."""
-
-    below: list[Changed]
-
-    def restore(self) -> None:
-        """Restore the matrices without changes."""
-        for below in self.below:
-            below.store(np.zeros(len(below.base)))
-
-
-class DofUpdate(_Update[_ChangedDofs]):
-    """Changes of levels of single dofs, by sparse products."""
+class DofUpdate:
+    """Changes of the levels ``below`` the finest one, finest first, of single dofs, by sparse
+    products."""
 
     def __init__(
         self,
@@ -201,8 +187,9 @@ class DofUpdate(_Update[_ChangedDofs]):
             matrix = below.update(matrix)
 
 
-class NodalUpdate(_Update[_ChangedBlocks]):
-    """Changes of levels with nodal prolongations, through lists of products that are made once."""
+class NodalUpdate:
+    """Changes of the levels ``below`` the finest one, finest first, with nodal prolongations, through
+    lists of products that are made once."""
 
     def __init__(
         self,
@@ -328,7 +315,8 @@ class Truncation:
 
     def restore(self) -> None:
         """Restore the matrices without truncation."""
-        self.products.restore()
+        for below in self.products.below:
+            below.store(np.zeros(len(below.base)))
 
 
 def _blocks_at_contact(

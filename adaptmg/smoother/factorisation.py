@@ -383,16 +383,13 @@ def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> spa
     """Return M with every entry between two contact dofs stored, so that SuperLU keeps them at the end of
     its order."""
     n = len(contact)
-    full = sparse.coo_array(
-        (np.zeros(n * n), (np.repeat(contact, n), np.tile(contact, n))), shape=system.matrix.shape
-    )
-    diagonal = sparse.coo_array((shift, (contact, contact)), shape=system.matrix.shape)
     matrix = sparse.coo_array(system.matrix)
-    data = np.concatenate([matrix.data, diagonal.data, full.data])
-    rows, columns = (
-        np.concatenate([matrix.coords[k], diagonal.coords[k], full.coords[k]]) for k in (0, 1)
-    )
-    return sparse.coo_array((data, (rows, columns)), shape=system.matrix.shape).tocsc()
+    rows, columns = matrix.coords
+    # Sigma with zeros between all contact dofs, added entry by entry: a sum of matrices drops zeros
+    data = np.append(matrix.data, np.diag(shift))
+    rows = np.append(rows, np.repeat(contact, n))
+    columns = np.append(columns, np.tile(contact, n))
+    return sparse.coo_array((data, (rows, columns)), shape=matrix.shape).tocsc()
 
 
 def _eliminate(
