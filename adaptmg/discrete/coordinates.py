@@ -35,6 +35,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.contact_nodes import ContactNodes
+from adaptmg.discrete.elasticity import nodal_matrix
 from adaptmg.discrete.supports import Inclined
 from adaptmg.problem.laws import Law, sampled_friction
 
@@ -59,7 +60,7 @@ class Coupling:
         n = self.weights.shape[0]
         dim = len(self.fixed) // n
         # Pi drops the fixed dofs and, by the projections Z, the directions of inclined supports
-        projections = self.inclined.block_diagonal(self.inclined.spans, n)
+        projections = nodal_matrix(self.inclined.nodes, self.inclined.spans, n * dim)
         free = sparse.diags_array((~self.fixed).astype(float), format="csr") - projections
         by_dof = sparse.csr_array(free @ sparse.kron(weights, sparse.eye_array(dim), format="csr"))
         by_dof.eliminate_zeros()

@@ -81,6 +81,14 @@ def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
     return (size * nodes.astype(np.int64)[:, None] + np.arange(size)).reshape(-1)
 
 
+def nodal_matrix(nodes: np.ndarray, blocks: np.ndarray, n_dofs: int) -> sparse.bsr_array:
+    """Return the block-diagonal matrix (n_dofs, n_dofs) with blocks (n, dim, dim) at some nodes."""
+    order = np.argsort(nodes)
+    n = n_dofs // blocks.shape[1]
+    starts = np.append(0, np.cumsum(np.bincount(nodes, minlength=n)))
+    return sparse.bsr_array((blocks[order], nodes[order], starts), shape=(n_dofs, n_dofs))
+
+
 @dataclass(frozen=True, eq=False)
 class Tangents:
     """Tangent stiffnesses of some patches, in place of the moduli of their bodies."""

@@ -14,16 +14,13 @@ from typing import Any
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import EnergyTerms, Held, held_components
-from adaptmg.discrete.ties import jump_of
+from adaptmg.discrete.supports import EnergyTerms, Held
 from adaptmg.problem.load_path import DEFAULT
 from adaptmg.problem.loads import InitialStrain, Preload
-from adaptmg.problem.surfaces import Periodic
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,39 +148,13 @@ def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
     return LoadSteps(
         n_dofs=discrete.n_dofs,
         loads=loads,
-        prescribed=_prescribed(posed),
+        prescribed=posed.prescribed_parts,
         holds=posed.holds,
         stress=StressData.of(mesh, posed.materials, elements=problem.elements),
         strains=strains,
         strain_loads=strain_loads,
         posed=posed,
     )
-
-
-def _prescribed(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return by name the dofs (n,) that supports and ties prescribe, and their values (n,), m."""
-    points = posed.mesh.points
-    unassigned = posed.fixed.copy()
-    result = {}
-    for name in dict.fromkeys(support.path_name for support in posed.problem.supports):
-        holds = [hold for hold in posed.holds if hold.support.path_name == name]
-        fixed, values = held_components(points, holds)
-        # a component of several names is left to the first one, as they prescribe the same
-        fixed &= unassigned
-        unassigned &= ~fixed
-        result[name] = np.flatnonzero(fixed), values[fixed]
-    dofs = dofs_of(posed.inclined.nodes, posed.mesh.dim)
-    for name, part in posed.inclined.moved.items():
-        result[name] = tuple(map(np.append, result[name], (dofs, part.reshape(-1))))
-    # jumps of periodic sides, along what supports leave free
-    for tie, part in zip(posed.problem.ties, posed.ties, strict=True):
-        if isinstance(tie, Periodic) and tie.jump is not None:
-            free = ~posed.fixed[part.nodes]
-            dofs = dofs_of(part.nodes, posed.mesh.dim)[free.reshape(-1)]
-            jumps = jump_of(tie, part.nodes, posed)[free]
-            before = result.get(tie.path_name, (dofs[:0], jumps[:0]))
-            result[tie.path_name] = tuple(map(np.append, before, (dofs, jumps)))
-    return result
 
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:

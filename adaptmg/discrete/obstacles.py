@@ -133,15 +133,6 @@ def along_free(
     return normals / length[:, None], gaps / length
 
 
-def approached(
-    boundaries: Boundaries, nodes: np.ndarray, normals: np.ndarray, prescribed: np.ndarray
-) -> np.ndarray:
-    """Return how much of the gaps (n,) of nodes displacements ``prescribed`` (n, dim) by supports
-    close along normals (n, dim), m."""
-    held = normals - boundaries.free_part(nodes, normals)
-    return np.einsum("nd,nd->n", held, prescribed)
-
-
 def free_normals(boundaries: Boundaries, k: int, normals: np.ndarray) -> np.ndarray:
     """Return the normals (n, dim) at the nodes of contact boundary k without their parts along
     directions that supports hold there.
@@ -219,14 +210,14 @@ def moved(
         # shares of nodes that supports or ties hold, which these nodes take over
         taken = contact.taken_over[rows]
         taken = taken[:, nodes] if taken.nnz else sparse.csr_array((len(rows), len(nodes)))
-        free_directions = boundaries.free_part(contact.nodes[rows], facing_normals[place])
         scaled, distances = along_free(
-            free_directions, facing_normals[place], facing_gaps[place] + taken @ facing_gaps
+            boundaries.free_part(contact.nodes[rows], facing_normals[place]),
+            facing_normals[place],
+            facing_gaps[place] + taken @ facing_gaps,
         )
-        shift = prescribed[nodes]
-        shift = shift[place] + taken @ shift
-        gaps[rows] = distances - approached(boundaries, contact.nodes[rows], scaled, shift)
         normals[rows] = boundaries.free_part(contact.nodes[rows], scaled)
+        shift = prescribed[nodes[place]] + taken @ prescribed[nodes]
+        gaps[rows] = distances - np.einsum("nd,nd->n", scaled - normals[rows], shift)
         motion = obstacle.motion(points) - before[k].motion(points)
         reference[rows] += motion[place] + taken @ motion
     are_turned = np.abs(normals - contact.normals).max(initial=0.0) > checks.ROUNDING

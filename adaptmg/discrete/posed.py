@@ -43,22 +43,17 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg.discrete.contact_nodes import ContactNodes, check_bounds
 from adaptmg.discrete.coordinates import held_slaves
-from adaptmg.discrete.elasticity import nodes_of_pieces
+from adaptmg.discrete.elasticity import dofs_of, nodes_of_pieces
 from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.mortar import MortarInterface, curved, pair_interface, spread
-from adaptmg.discrete.obstacles import (
-    approached,
-    free_normals,
-    in_front_of,
-    with_motions,
-)
+from adaptmg.discrete.obstacles import free_normals, in_front_of, with_motions
 from adaptmg.discrete.sides import with_sides, young_of
-from adaptmg.discrete.supports import Boundaries, supported_nodes
+from adaptmg.discrete.supports import Boundaries, held_components, supported_nodes
 from adaptmg.discrete.ties import jump_of, tie_interfaces
 from adaptmg.mesh.arrays import MeshArrays, Surface, mask_of
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Elastic, FollowsState, Law, NodalLaw, NodalStateLaw, check_law
-from adaptmg.problem.surfaces import ContactPair
+from adaptmg.problem.surfaces import ContactPair, Periodic
 
 
 class Role(IntEnum):
@@ -160,16 +155,39 @@ class Posed(Boundaries):
         }
 
     @cached_property
+    def prescribed_parts(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return by name the dofs (n,) that supports and ties prescribe, and their values (n,), m."""
+        points = self.mesh.points
+        unassigned = self.fixed.copy()
+        result = {}
+        for name in dict.fromkeys(support.path_name for support in self.problem.supports):
+            holds = [hold for hold in self.holds if hold.support.path_name == name]
+            fixed, values = held_components(points, holds)
+            # a component of several names is left to the first one, as they prescribe the same
+            fixed &= unassigned
+            unassigned &= ~fixed
+            result[name] = np.flatnonzero(fixed), values[fixed]
+        dofs = dofs_of(self.inclined.nodes, self.mesh.dim)
+        for name, part in self.inclined.moved.items():
+            result[name] = tuple(map(np.append, result[name], (dofs, part.reshape(-1))))
+        # jumps of periodic sides, along what supports leave free
+        for tie, part in zip(self.problem.ties, self.ties, strict=True):
+            if isinstance(tie, Periodic) and tie.jump is not None:
+                free = ~self.fixed[part.nodes]
+                dofs = dofs_of(part.nodes, self.mesh.dim)[free.reshape(-1)]
+                jumps = jump_of(tie, part.nodes, self)[free]
+                before = result.get(tie.path_name, (dofs[:0], jumps[:0]))
+                result[tie.path_name] = tuple(map(np.append, before, (dofs, jumps)))
+        return result
+
+    @cached_property
     def prescribed(self) -> np.ndarray:
         """Return the displacement (n_nodes, dim) along directions that supports hold, and the jump of
         tied nodes, m; 0 elsewhere."""
-        _, values = self._components
-        result = values.copy()
-        for moved in self.inclined.moved.values():
-            result[self.inclined.nodes] += moved
-        for tie, part in zip(self.problem.ties, self.ties, strict=True):
-            result[part.nodes] += jump_of(tie, part.nodes, self)
-        return result
+        result = np.zeros(self.mesh.points.size)
+        for dofs, values in self.prescribed_parts.values():
+            result[dofs] += values
+        return result.reshape(self.mesh.points.shape)
 
     @cached_property
     def nodes(self) -> np.ndarray:
@@ -331,7 +349,8 @@ class Posed(Boundaries):
         shift = prescribed[rows.nodes]
         if rows.taken_over is not None:
             shift = shift + rows.taken_over @ prescribed
-        return approached(self, rows.nodes, rows.normals, shift)[rows.touching]
+        held = rows.normals - self.free_part(rows.nodes, rows.normals)
+        return np.einsum("nd,nd->n", held, shift)[rows.touching]
 
     def _layers(
         self,

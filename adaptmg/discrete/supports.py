@@ -27,7 +27,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.elasticity import dofs_of
+from adaptmg.discrete.elasticity import dofs_of, nodal_matrix
 from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
@@ -116,16 +116,6 @@ class Inclined:
         if len(self):
             vector.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
 
-    def block_diagonal(self, blocks: np.ndarray, n_nodes: int) -> sparse.csr_array:
-        """Return the matrix (n_dofs, n_dofs) with the blocks (k, dim, dim) of these nodes on its diagonal,
-        zero at other nodes."""
-        counts = np.zeros(n_nodes, dtype=np.int64)
-        counts[self.nodes] = 1
-        n = n_nodes * self.spans.shape[1]
-        return sparse.csr_array(
-            sparse.bsr_array((blocks, self.nodes, np.append(0, np.cumsum(counts))), shape=(n, n))
-        )
-
     def along(self, vector: np.ndarray) -> np.ndarray:
         """Return the parts (k, dim) of a vector (n_dofs,) along the directions that are held."""
         return np.einsum(
@@ -145,8 +135,8 @@ class Inclined:
         stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
         volumes = parts["volumes"]
         supports = replace(self, rows=rows, stiffness=stiffness, volumes=volumes.rows)
-        held = self.block_diagonal(self.spans, n // dim)
-        held_stiffness = self.block_diagonal(stiffness[:, None, None] * self.spans, n // dim)
+        held = sparse.csr_array(nodal_matrix(self.nodes, self.spans, n))
+        held_stiffness = nodal_matrix(self.nodes, stiffness[:, None, None] * self.spans, n)
         free = sparse.bsr_array(sparse.eye_array(n) - held, blocksize=size)
         # half of (I - Z) A (I - Z) + Z D Z, whose sum with its transpose is symmetric to the bit
         half = sparse.bsr_array(0.5 * (free @ matrix @ free + held_stiffness), blocksize=size)
@@ -471,14 +461,6 @@ class Boundaries:
     def inclined(self) -> Inclined:
         """Return the nodes that supports hold along directions that are not axes."""
         return inclined_supports(self.mesh.points, self.holds)
-
-    @cached_property
-    def clamped(self) -> np.ndarray:
-        """Return the mask (n_nodes,) of the nodes that supports hold in all directions."""
-        result = np.all(self.fixed, axis=1)
-        ranks = np.einsum("nii->n", self.inclined.spans)
-        result[self.inclined.nodes] = ranks > self.mesh.dim - checks.SIX_DIGITS
-        return result
 
     def held_spans(self, nodes: np.ndarray) -> np.ndarray:
         """Return the projections (n, dim, dim) onto the directions along which supports hold

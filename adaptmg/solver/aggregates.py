@@ -34,7 +34,7 @@ from scipy.sparse.linalg import splu
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel, prefetch
 from adaptmg.discrete.coordinates import block_diagonal, frames_of, from_frames, to_frames
-from adaptmg.discrete.elasticity import dofs_of, rotations
+from adaptmg.discrete.elasticity import dofs_of, nodal_matrix, rotations
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.blocks import (
     AHEAD,
@@ -433,14 +433,6 @@ class CoarseCorrection:
             _transfer(
                 False, *self._basis, result, dpbtrs(self._factor, sums, lower=1, overwrite_b=1)[0]
             )
-
-
-def nodal_matrix(nodes: np.ndarray, blocks: np.ndarray, n_dofs: int) -> sparse.bsr_array:
-    """Return the block-diagonal matrix (n_dofs, n_dofs) with blocks (n, dim, dim) at some nodes."""
-    order = np.argsort(nodes)
-    n = n_dofs // blocks.shape[1]
-    starts = np.append(0, np.cumsum(np.bincount(nodes, minlength=n)))
-    return sparse.bsr_array((blocks[order], nodes[order], starts), shape=(n_dofs, n_dofs))
 
 
 def raised(diagonal: np.ndarray) -> np.ndarray:

@@ -45,6 +45,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel, prefetch
+from adaptmg.discrete.elasticity import nodal_matrix
 from adaptmg.discrete.problem import DiscreteProblem, diagonal_places_of, nodal_blocks
 from adaptmg.smoother.blocks import (
     AHEAD,
@@ -65,7 +66,7 @@ from adaptmg.smoother.blocks import (
     write,
 )
 from adaptmg.smoother.strips import Strips
-from adaptmg.solver.aggregates import Aggregates, CoarseCorrection, nodal_matrix
+from adaptmg.solver.aggregates import Aggregates, CoarseCorrection
 
 #: the share of the energy that the last step may have left, and of the least Ritz value that stays; with
 #: volumes the share by which each of the last two steps may have changed the energy
