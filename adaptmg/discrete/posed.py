@@ -157,12 +157,11 @@ class Posed(Boundaries):
     @cached_property
     def prescribed_parts(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return by name the dofs (n,) that supports and ties prescribe, and their values (n,), m."""
-        points = self.mesh.points
         unassigned = self.fixed.copy()
         result = {}
         for name in dict.fromkeys(support.path_name for support in self.problem.supports):
             holds = [hold for hold in self.holds if hold.support.path_name == name]
-            fixed, values = held_components(points, holds)
+            fixed, values = held_components(self.mesh.points, holds)
             # a component of several names is left to the first one, as they prescribe the same
             fixed &= unassigned
             unassigned &= ~fixed

@@ -107,14 +107,14 @@ class Inclined:
 
     def free_part(self, vector: np.ndarray) -> np.ndarray:
         """Return a vector (n_dofs,) without its parts along the directions that are held."""
-        result = vector.copy()
-        self.remove_held(result)
-        return result
+        return self.remove_held(vector.copy())
 
-    def remove_held(self, vector: np.ndarray) -> None:
-        """Remove from a vector (n_dofs,), in place, its parts along the directions that are held."""
-        if len(self):
-            vector.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
+    @_identity_without_nodes
+    def remove_held(self, vector: np.ndarray) -> np.ndarray:
+        """Remove from a vector (n_dofs,), in place, its parts along the directions that are held, and
+        return it."""
+        vector.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
+        return vector
 
     def along(self, vector: np.ndarray) -> np.ndarray:
         """Return the parts (k, dim) of a vector (n_dofs,) along the directions that are held."""
@@ -448,14 +448,9 @@ class Boundaries:
         return held_directions(self.holds)
 
     @cached_property
-    def _components(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mask and the values (n_nodes, dim), m, of the components that supports hold."""
-        return held_components(self.mesh.points, self.holds)
-
-    @property
     def fixed(self) -> np.ndarray:
         """Return the mask (n_nodes, dim) of the components that supports hold."""
-        return self._components[0]
+        return held_components(self.mesh.points, self.holds)[0]
 
     @cached_property
     def inclined(self) -> Inclined:
