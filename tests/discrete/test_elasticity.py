@@ -427,6 +427,10 @@ ROCK = am.Solid(young=1.0, poisson=0.2)
 EMPTY = replace(FLAT, boundaries=(*FLAT.boundaries, "hole"))
 test_refusals = refused(
     (
+        lambda: am.discrete.load_vector(FLAT, [am.Pressure("top", 1.0)], elements="quadratic"),
+        "elements must be .*linear.*smoothed.*quadratic",
+    ),
+    (
         lambda: am.discrete.load_vector(FLAT, [am.Pressure("roof", 1.0)]),
         "'roof' does not exist; the boundaries are bottom",
     ),
