@@ -72,6 +72,9 @@ STEPS: Mapping[str, Callable[[], object]] = {
     "nearly incompressible bodies": lambda: _solved(
         replace(am.cases.greco_bar(poisson=0.49), elements="smoothed")
     ),
+    "a large lattice": lambda: am.discrete.stiffness(
+        am.mesh.structured(PLANE.domain, 64), PLANE.material
+    ),
     "transfers": _transfers,
     "adaptive loop": lambda: _adapted(am.cases.upset_block(), 400),
     "adaptive loop of solids": lambda: _adapted(SOLID, 400),
