@@ -355,7 +355,7 @@ class CoarseFactors:
     def _factors(self, shift: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """Return the solve with the matrix and a shift (n_dofs,) of its diagonal."""
         if self.level.n_dofs <= self.DENSE:
-            matrix = regular_matrix(self.level, self._scale).toarray()
+            matrix = _regular_dense(self.level, self._scale)
             matrix.flat[:: len(shift) + 1] += shift  # the diagonal
             return _dense_factors(matrix)
         return _sparse_factors(_regular_sparse(self.level, self._scale) + sparse.diags_array(shift))
@@ -550,6 +550,15 @@ def _regular_sparse(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
     return matrix
 
 
+def _regular_dense(level: SplitMatrix, scale: np.ndarray) -> np.ndarray:
+    """Return :func:`regular_matrix` as a dense one. By way of the sparse one a solve of 1089 nodes takes
+    5 % more: each status makes a new one."""
+    matrix = level.dense()
+    empty = np.flatnonzero(np.abs(matrix).sum(axis=1) <= checks.ROUNDING * scale)
+    matrix[empty, empty] = scale[empty]
+    return matrix
+
+
 class _LevelSmoother:
     """A :class:`LinearSmoother` set up for the matrix of a level."""
 
@@ -573,8 +582,7 @@ def least_weights(residual: np.ndarray, changes: np.ndarray, weights: np.ndarray
     # (C W C') alpha = -C W r, scaled to a diagonal of 1, which is raised by rounding: changes may be
     # dependent
     weighted = changes * weights
-    # by dots: .2 ms for 3 changes of 132k dofs, as a product of matrices .7
-    products = np.array([[row @ change for change in changes] for row in weighted])
+    products = weighted @ changes.T
     scale = np.sqrt(products.diagonal())
     scale[scale == 0.0] = 1.0
     products /= scale[:, None] * scale

@@ -178,6 +178,13 @@ class SplitMatrix:
             column[order],
         )
 
+    def dense(self) -> np.ndarray:
+        """Return the whole matrix (n_dofs, n_dofs) as an array; needs ``diagonal``."""
+        result = np.zeros((self.n_nodes, self.dim, self.n_nodes, self.dim))
+        for (row, column), blocks in zip(self._places, self._blocks, strict=True):
+            result[row, :, column] = blocks
+        return result.reshape(self.n_dofs, self.n_dofs)
+
     def matrix(self) -> sparse.bsr_array:
         """Return the whole matrix (n_dofs, n_dofs), sorted; needs ``diagonal``."""
         order, indptr, indices = self._order
