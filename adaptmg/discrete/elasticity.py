@@ -450,7 +450,9 @@ def _find_neighbours(first, last, start, patches, begin, nodes, counts):
     that is too long: 10.4 ms for 263k nodes, 4.5 for 36k in 3D, counted before they are found 13.3
     and 7.1."""
     # unsigned: numba tests signed indices for negative ones, which takes half of the time
-    row_that_met = np.full(len(start) - 1, -1, dtype=np.int32)
+    row_that_met = np.empty(len(start) - 1, dtype=np.int32)
+    for v in range(len(row_that_met)):  # np.full compiles for .1 s
+        row_that_met[v] = -1
     one = np.uint64(1)
     room = 0
     for at in range(start[first], start[last]):
@@ -625,7 +627,8 @@ def _add_patches(
         data[slot[i] : indptr[i + 1]] = 0.0
         for k in range(start[i], start[i + 1]):
             # ask for the nodes and the slopes of the patch that comes _LATER, by its first corner
-            later = np.int64(begin[np.uint64(patches[min(k + _LATER, len(patches) - 1)])])
+            ahead = k + _LATER if k + _LATER < len(patches) else k
+            later = np.int64(begin[np.uint64(patches[ahead])])
             prefetch(np.uintp(np.int64(nodes.ctypes.data) + nodes.itemsize * later))
             for line in range(3):
                 prefetch(np.uintp(np.int64(slopes.ctypes.data) + 8 * len(zero) * later + 64 * line))
@@ -660,7 +663,9 @@ def _mirror(first, last, zero, indptr, indices, data):
     column is beyond all rows written so far: rows are written in ascending order, so that it is the
     block of the next row that has the column j. It is 0 as long as row j, before ``first``, has not
     been needed."""
-    next_block = np.zeros(last, dtype=np.int64)
+    next_block = np.empty(last, dtype=np.int64)
+    for j in range(last):  # np.zeros compiles for .1 s
+        next_block[j] = 0
     for i in range(first, last):
         at = np.uint64(indptr[i])
         while indices[at] < i:

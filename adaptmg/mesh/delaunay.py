@@ -44,6 +44,7 @@ def of_boundary(places: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.n
     across[0, 1] = 1
     across[1, 2] = 0
     present = np.zeros(len(edges), dtype=bool)
+    settled = np.empty(len(elements), dtype=bool)
     points = np.concatenate([places, corners])
     # put in the nodes one by one, from coarse to fine along the boundary: multiples of high powers of
     # two first, odd numbers (and 0) last. In the order along the boundary a node would swap all edges
@@ -55,7 +56,8 @@ def of_boundary(places: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.n
     power_of_two = numbers & -numbers  # the largest one that divides the number
     order = np.argsort(-power_of_two, kind="stable")
     for begin in range(0, n, BATCH):
-        count, e = _put(points, elements, across, order[begin : begin + BATCH], count, e)
+        batch = order[begin : begin + BATCH]
+        count, e = _put(points, elements, across, batch, count, e, settled)
         if e < 0:
             raise Untriangulated(f"nodes at {places[begin : begin + 1]}")
     # swap until every edge of the boundary is there
@@ -142,7 +144,7 @@ def _opposite(elements, e, a, b):
 
 @inner_kernel
 def _place(elements, across, e, a, b, c, over_a, over_b, over_c):
-    """Write a triangle and its neighbours."""
+    """Write a triangle and its neighbours, all numbers of 64 bits: it is compiled once."""
     elements[e, 0] = a
     elements[e, 1] = b
     elements[e, 2] = c
@@ -180,15 +182,15 @@ def _swap(elements, across, e, k):
           b                b
     """
     f = np.int64(across[e, k])
-    a = elements[e, k]
+    a = np.int64(elements[e, k])
     b = np.int64(elements[e, (k + 1) % 3])
     c = np.int64(elements[e, (k + 2) % 3])
     m = _opposite(elements, f, b, c)
-    d = elements[f, m]
-    beside_b = across[e, (k + 2) % 3]
-    beside_c = across[e, (k + 1) % 3]
-    over_b = across[f, (m + 1) % 3]
-    over_c = across[f, (m + 2) % 3]
+    d = np.int64(elements[f, m])
+    beside_b = np.int64(across[e, (k + 2) % 3])
+    beside_c = np.int64(across[e, (k + 1) % 3])
+    over_b = np.int64(across[f, (m + 1) % 3])
+    over_c = np.int64(across[f, (m + 2) % 3])
     # neighbours beyond a b (beside_b), c a (beside_c), b d (over_b), d c (over_c), as f = (d, c, b)
     _place(elements, across, e, a, b, d, over_b, f, beside_b)
     _place(elements, across, f, a, d, c, over_c, beside_c, e)
@@ -268,12 +270,12 @@ def insert(points, elements, across, n, e, p, settled):
         ):
             k = j
             on = on + 1
-    a = elements[e, k]
-    b = elements[e, (k + 1) % 3]
-    c = elements[e, (k + 2) % 3]
-    over_a = across[e, k]
-    over_b = across[e, (k + 1) % 3]
-    over_c = across[e, (k + 2) % 3]
+    a = np.int64(elements[e, k])
+    b = np.int64(elements[e, (k + 1) % 3])
+    c = np.int64(elements[e, (k + 2) % 3])
+    over_a = np.int64(across[e, k])
+    over_b = np.int64(across[e, (k + 1) % 3])
+    over_c = np.int64(across[e, (k + 2) % 3])
     m = n + 1
     if on == 0:
         _place(elements, across, e, p, a, b, over_c, n, m)
@@ -282,13 +284,13 @@ def insert(points, elements, across, n, e, p, settled):
         _replace_neighbour(across, over_a, e, n)
         _replace_neighbour(across, over_b, e, m)
     else:
-        f = np.int64(over_a)
+        f = over_a
         if f < 0 or on > 1:
             return n
-        j = _opposite(elements, f, np.int64(b), np.int64(c))
-        d = elements[f, j]
-        beyond_c = across[f, (j + 1) % 3]
-        beyond_b = across[f, (j + 2) % 3]
+        j = _opposite(elements, f, b, c)
+        d = np.int64(elements[f, j])
+        beyond_c = np.int64(across[f, (j + 1) % 3])
+        beyond_b = np.int64(across[f, (j + 2) % 3])
         _place(elements, across, e, p, a, b, over_c, m, n)
         _place(elements, across, n, p, c, a, over_b, e, f)
         _place(elements, across, f, p, d, c, beyond_b, n, m)
@@ -307,10 +309,10 @@ def insert(points, elements, across, n, e, p, settled):
 
 
 @kernel
-def _put(points, elements, across, nodes, count, e):
+def _put(points, elements, across, nodes, count, e, settled):
     """Put nodes into the ``count`` triangles; triangle e is where the search for the first of them
-    begins. Returns the number of triangles and the last one found, -1 if a node lies on another."""
-    settled = np.empty(len(elements), dtype=np.bool_)
+    begins, ``settled`` (m,) is scratch. Returns the number of triangles and the last one found, -1 if a
+    node lies on another."""
     for p in nodes:
         e = walk(points, elements, across, e, p)
         before = count
@@ -385,8 +387,10 @@ def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, trian
         behind = np.int64(elements[e, k])
         u = np.int64(elements[e, (k + 1) % 3])
         v = np.int64(elements[e, (k + 2) % 3])
-        if max(_edge(start, heads, u, v), _edge(start, heads, v, u)) >= 0:
-            return -1, u if _edge(start, heads, u, v) >= 0 else v
+        if _edge(start, heads, u, v) >= 0:
+            return -1, u
+        if _edge(start, heads, v, u) >= 0:
+            return -1, v
         f = np.int64(across[e, k])
         w = np.int64(elements[f, _opposite(elements, f, u, v)])
         if v == far and turn(points, behind, u, w) > 0.0 and turn(points, w, v, behind) > 0.0:

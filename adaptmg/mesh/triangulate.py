@@ -348,7 +348,18 @@ def _filled(
         for most in range(n_read + BATCH, room + BATCH, BATCH):
             most = min(most, room)
             n, n_elements = _fill(
-                points, sizes, elements, across, n, n_elements, most, n_read, settled, dips
+                points,
+                sizes,
+                elements,
+                across,
+                n,
+                n_elements,
+                most,
+                n_read,
+                settled,
+                settled[: len(settled) // 8 * 8].view(np.uint64),
+                dips,
+                np.empty(2),
             )
             if n < most:
                 break
@@ -485,21 +496,20 @@ def _look(points, sizes, elements, n_read, settled):
             )
             / (h * h)
         )
-        if max(a, b, c) >= n_read:
+        if a >= n_read or b >= n_read or c >= n_read:
             settled[e] = False
     return cells
 
 
 @kernel
-def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips):
+def _fill(points, sizes, elements, across, n, count, most, n_read, settled, eights, dips, place):
     """Put nodes into triangles that are not ``settled`` and too large until there are none, or
-    ``most`` nodes. Sizes at nodes from ``n_read`` on are interpolated; ``dips`` are sizes at
-    centroids. Returns the numbers of nodes and triangles.
+    ``most`` nodes. Sizes at nodes from ``n_read`` on are interpolated; ``eights`` has eight entries of
+    ``settled`` in a number, ``dips`` are sizes at centroids, ``place`` (2,) is scratch. Returns the
+    numbers of nodes and triangles.
 
     A triangle is settled while it is small enough, or no node can be put in for it; every triangle that
     changes is not."""
-    place = np.empty(2)
-    eights = settled[: len(settled) // 8 * 8].view(np.uint64)
     before = np.int64(-1)
     # each pass but the last adds nodes, and there are ``most``
     while before < n < most:
@@ -521,7 +531,9 @@ def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips
                 h = dips[e]
             radius = _next_place(points, elements, e, sizes, place) / (_RADIUS * h)
             # far from the right size what is interpolated is far from the field
-            if not radius > 1.0 or (radius > _COARSE and max(a, b, c) >= n_read):
+            if not radius > 1.0 or (
+                radius > _COARSE and (a >= n_read or b >= n_read or c >= n_read)
+            ):
                 continue
             # the node goes to the centroid, where a dip was read, or to ``place`` in triangle t
             t = e

@@ -326,8 +326,8 @@ def _project(i, own, other, offsets, held, projections, zero, sums, width, band)
     column c stands at ``start + motion_step * m + column_step * c``; see :func:`_fill`."""
     dim = np.uint64(len(zero))
     modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
-    low = modes * np.uint64(min(own, other))
-    high = modes * np.uint64(max(own, other))
+    low = modes * np.uint64(own if own < other else other)
+    high = modes * np.uint64(other if own < other else own)
     columns = dim * modes
     start = low * width + high - low
     if own == other:  # row low + c of the band, in its last columns
