@@ -383,8 +383,9 @@ class Posed(Boundaries):
         """Return the nodes that carry contact conditions, in ascending order, with the gaps that
         the motion of supports leaves them."""
         contact = self._contact_nodes(self.rows)
-        approached = self.approached(self.prescribed)
-        return replace(contact, gaps=contact.gaps - approached) if approached.any() else contact
+        if not self.prescribed.any():  # .05 of 1.1 ms that a level of 81 nodes takes
+            return contact
+        return replace(contact, gaps=contact.gaps - self.approached(self.prescribed))
 
 
 def _evaluated(law: Law, points: np.ndarray, weights: np.ndarray) -> Law:
