@@ -267,9 +267,11 @@ def _checked_gaps(
     gaps: ArrayLike, opposite_gaps: ArrayLike | None, n: int, scalar: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the gaps (n,) and the opposite gaps (n,) of contact nodes, read-only."""
-    opposite = _uniform(np.inf, n)
-    if opposite_gaps is not None:
-        opposite = _limits("opposite_gaps", opposite_gaps, (n,))
+    opposite = (
+        _uniform(np.inf, n)
+        if opposite_gaps is None
+        else _limits("opposite_gaps", opposite_gaps, (n,))
+    )
     if not scalar and np.isfinite(opposite).any():
         raise ValueError(
             "opposite_gaps are for scalar problems (dim 1): of a body between two obstacles the "

@@ -298,10 +298,8 @@ class Unknowns:
     def load_from_prescribed(self) -> np.ndarray:
         """Return the load b - A u_fixed (n_dofs,), N, of unknowns from the prescribed values, zero
         along held directions; see :meth:`from_prescribed`."""
-        load = self.load
-        if self.fixed_values.any():
-            load = load - self.matrix @ self.fixed_values
-        return self.free_part(load)
+        moved = self.fixed_values.any()
+        return self.free_part(self.load - self.matrix @ self.fixed_values if moved else self.load)
 
     def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the displacement (n_contact, dim) of the contact nodes relative to the nodes that they

@@ -308,9 +308,8 @@ def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> Patches:
 def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
     """Return the volumes (n_elements,) of the elements, in axisymmetry of the full
     circumference."""
-    if not axisymmetric:
-        return mesh.volumes
-    return 2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) * mesh.volumes
+    radii = mesh.points[mesh.elements, 0].mean(axis=1)
+    return 2 * np.pi * radii * mesh.volumes if axisymmetric else mesh.volumes
 
 
 def _sorted_edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:

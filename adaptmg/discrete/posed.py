@@ -408,13 +408,11 @@ def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
     following: list[tuple[FollowsState, np.ndarray]] = []
     for k, boundary_law in enumerate(laws):
         on_boundary = contact.boundary == k
-        if not on_boundary.any():
-            continue
-        law = _evaluated(boundary_law, points[on_boundary], contact.weights[on_boundary])
-        check_bounds(law, int(on_boundary.sum()))
-        bounds[:, on_boundary] = law.bounds(int(on_boundary.sum()))
-        if isinstance(law, FollowsState):
-            following.append((law, np.flatnonzero(on_boundary)))
-    if following:
-        return NodalStateLaw(bounds[0], bounds[1], tuple(following))
-    return NodalLaw(*bounds)
+        n = int(on_boundary.sum())
+        if n:
+            law = _evaluated(boundary_law, points[on_boundary], contact.weights[on_boundary])
+            check_bounds(law, n)
+            bounds[:, on_boundary] = law.bounds(n)
+            if isinstance(law, FollowsState):
+                following.append((law, np.flatnonzero(on_boundary)))
+    return NodalStateLaw(bounds[0], bounds[1], tuple(following)) if following else NodalLaw(*bounds)

@@ -118,11 +118,8 @@ class Volumes:
     def scale(self) -> np.ndarray:
         """Return the factors (n_groups,) from strains to forces: (lam_1 + mu) times a facet of the
         group, N."""
-        return self.modulus * self.areas ** (1 - 1 / self._dim)
-
-    @property
-    def _dim(self) -> int:
-        return self.rows.shape[1] // self.means.shape[1]
+        dim = self.rows.shape[1] // self.means.shape[1]
+        return self.modulus * self.areas ** (1 - 1 / dim)
 
     def expanding(self, mesh: MeshArrays, strain: np.ndarray, axisymmetric: bool) -> Volumes:
         """Return these groups with the expansion of initial strains (n_elements, 3) of elements."""

@@ -351,8 +351,9 @@ def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
         matrix = coarse_matrix(matrix, nodal)
         matrices.append(split(matrix, level.discrete.fixed))
         prolongations.append(nodal)
-    sweeps = [2] * len(matrices)
-    cycle = LinearCycle(matrices[::-1], prolongations[::-1], Run(unit=1), sweeps)
+    cycle = LinearCycle(
+        matrices[::-1], prolongations[::-1], Run(unit=1), sweeps=[2] * len(matrices)
+    )
     cycle.renew(len(matrices) - 1)
     return cycle
 

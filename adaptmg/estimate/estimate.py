@@ -390,8 +390,7 @@ def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
     stress = state.stress
     neighbours = state.neighbours
     touching = contact_tractions(mesh, state.result, stress.axisymmetric)
-    plain = np.zeros(len(mesh.elements))
-    contact = np.zeros(len(mesh.elements))
+    plain, contact = np.zeros((2, len(mesh.elements)))
     supports = state.posed.directions
     for k, name in enumerate(mesh.boundaries):
         on_boundary = mesh.facet_labels == k
@@ -442,8 +441,7 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
     mesh = state.mesh
     contact = state.result.contact
     neighbours = state.neighbours
-    complementarity = np.zeros(len(mesh.elements))
-    friction = np.zeros(len(mesh.elements))
+    complementarity, friction = np.zeros((2, len(mesh.elements)))
     opens = contact.state == State.OPEN
     pressures = contact.pressure
     gaps = np.where(opens, np.maximum(contact.gap, 0.0), 0.0)

@@ -210,8 +210,7 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
     change = np.inf
     if values.shape == old_values.shape:
         change = np.abs(values + errors - old_values - old_errors)
-    same_sign = errors * old_errors > 0
-    return bool((same_sign & (change <= np.abs(errors))).all())
+    return bool(((errors * old_errors > 0) & (change <= np.abs(errors))).all())
 
 
 def _values_and_errors(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
@@ -244,12 +243,14 @@ class StoredStep:
     @classmethod
     def of(cls, step: Step) -> StoredStep:
         """Return the record of a step."""
-        names = ("total_seconds", "work_units", "total_work_units")
         return cls(
             step.estimate,
             levels=[need_mesh(level) for level in step.hierarchy.levels],
             history=need_mesh(step.result).refinement,
-            numbers={name: getattr(step, name) for name in names},
+            numbers={
+                name: getattr(step, name)
+                for name in ("total_seconds", "work_units", "total_work_units")
+            },
             timings=dict(step.timings),
             path=step.path,
         )
@@ -431,12 +432,11 @@ class AdaptiveLoop:
             grown = thinned(grown, last=self._full(mesh.n_nodes))
         # the seconds that the hierarchy spent in phases of its own are not those of choosing levels; those
         # of compiling are no phase, and the clock has counted them
-        timings = self.clock.timings
         for name, seconds in grown.timings.items():
             if name != "compiling":
                 spent = seconds - before.timings.get(name, 0.0)
-                timings[name] = timings.get(name, 0.0) + spent
-                timings["levels"] -= spent
+                self.clock.timings[name] = self.clock.timings.get(name, 0.0) + spent
+                self.clock.timings["levels"] -= spent
         return grown, start
 
     @one_blas_thread()
@@ -491,9 +491,7 @@ class AdaptiveLoop:
         """Return the load steps of mesh ``number``, from the state of the last one if the path goes
         on from mesh to mesh."""
         parts = self.parts
-        solver = parts.solver
-        if solver is None:
-            solver = FullMultigrid(rtol=RTOL if parts.rtol is None else parts.rtol)
+        solver = parts.solver or FullMultigrid(rtol=RTOL if parts.rtol is None else parts.rtol)
         solver = solver if _applies(solver, hierarchy) else None
         rtol = parts.rtol if solver is None else None
         start = None
@@ -675,12 +673,12 @@ def _path_estimate(
             "load_path: nothing moves in any of its steps, so there is nothing to refine for"
         )
     k = max(estimates, key=lambda k: estimates[k].relative)
-    shares = []
-    for step_estimate in estimates.values():
-        # a quantity that is zero has no relative error: above 1 all steps count alike
-        weight = min(step_estimate.relative, 1.0) ** 2
-        # the squares over their sum, times the square of the relative estimate
-        shares.append(weight / (step_estimate.squares.sum() or 1.0) * step_estimate.squares)
+    # the squares of each step over their sum, times the square of its relative estimate; a quantity that is
+    # zero has none: above 1 all steps count alike
+    shares = [
+        min(step.relative, 1.0) ** 2 / (step.squares.sum() or 1.0) * step.squares
+        for step in estimates.values()
+    ]
     return k, estimates[k], replace(estimates[k], squares=np.max(shares, axis=0))
 
 

@@ -53,9 +53,8 @@ def scalar_squares(
     contact = result.contact
     # from the limits (2, n_nodes)
     distances = _PRESSING * (values - problem.limits_at(mesh.points))
-    load_of_result = forces - result.reaction[:, 0]
-    sizes = (forces, result.reaction)
-    _check_same("loads", load_of_result - level.discrete.load, sizes)
+    load = forces - result.reaction[:, 0]
+    _check_same("loads", load - level.discrete.load, (forces, result.reaction))
     nearest = distances.min(axis=0)[contact.node]
     _check_same("limits", nearest - contact.gap, (values, contact.gap))
     # normals point into the obstacle, against its pressure

@@ -441,6 +441,5 @@ def _check_start(loop: PathLoop, start: Result) -> tuple[np.ndarray, ...]:
 
 def _loop(grids: Grids, path: LoadPath, solver: Solver) -> PathLoop:
     """Return the loop of a path, whose bodies may be plastic."""
-    if not grids.finest.discrete.inelastic:
-        return PathLoop(grids, path, solver)
-    return PlasticLoop(grids, path, solver)
+    loop = PlasticLoop if grids.finest.discrete.inelastic else PathLoop
+    return loop(grids, path, solver)

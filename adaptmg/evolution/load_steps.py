@@ -102,8 +102,6 @@ Solve = Callable[[dict[str, np.ndarray], Result | None, float], tuple[Result, Ca
 class Past:
     """The starts that the steps before offer to a step."""
 
-    levels: list[np.ndarray]  # displacements (n_dofs,) after the step before, coarsest level first
-    extrapolated_levels: list[np.ndarray]  # (n_dofs,): from the last two steps in the loads
     last: np.ndarray  # solution (n_unknowns,) after the step before
     extrapolated: np.ndarray  # (n_unknowns,): from the last two steps in the loads
     given: bool  # whether there was a step before
@@ -111,19 +109,10 @@ class Past:
     #: is the start
     near: bool = False
     loose: float = 0.0  # tolerance that suffices, if it is larger than that of the solver
-
-    @classmethod
-    def near_to(cls, start: np.ndarray, loose: float) -> Past:
-        """Return what a step begins with that has one ``start`` (n_unknowns,)."""
-        return cls(
-            levels=[],
-            extrapolated_levels=[],
-            last=start,
-            extrapolated=start,
-            given=True,
-            near=True,
-            loose=loose,
-        )
+    #: displacements (n_dofs,), coarsest level first, after the step before, and from the last two steps in
+    #: the loads; nested starts need them
+    levels: list[np.ndarray] = field(default_factory=list)
+    extrapolated_levels: list[np.ndarray] = field(default_factory=list)
 
 
 def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
@@ -256,16 +245,14 @@ def _nested_start(
         coarse_problem.parts(solution)[0]
         for coarse_problem, solution in zip(multigrid.problems[:-1], coarse_solutions, strict=True)
     ]
-    if not past.given:
-        return start, coarse
-    # the pressures of the last step, next to the displacement of the nested start
-    start[problem.n_dofs :] = past.last[problem.n_dofs :]
-    if solver.rtol == "discretisation":  # the tolerance comes from the nested start
-        return start, coarse
-    with run.phase("start"):
-        extrapolated_residual = examiner.relative_residual(past.extrapolated)
-        if extrapolated_residual <= _EXTRAPOLATE * examiner.relative_residual(start):
-            start = past.extrapolated
+    if past.given:
+        # the pressures of the last step, next to the displacement of the nested start
+        start[problem.n_dofs :] = past.last[problem.n_dofs :]
+        if solver.rtol != "discretisation":  # this tolerance comes from the nested start
+            with run.phase("start"):
+                extrapolated_residual = examiner.relative_residual(past.extrapolated)
+                if extrapolated_residual <= _EXTRAPOLATE * examiner.relative_residual(start):
+                    start = past.extrapolated
     return start, coarse
 
 
@@ -311,10 +298,10 @@ class Controls:
             k: obstacle for k, obstacle in self.obstacles.items() if isinstance(obstacle, Rigid)
         }
         self.bolts = [load for load in loads if isinstance(load, Preload)]
-        for obstacle in self.rigid.values():
-            self.motions[obstacle.name] = np.zeros(3 * obstacle.dim - 3)
-        for bolt in self.bolts:
-            self.motions[bolt.path_name] = np.zeros(1)
+        self.motions |= {
+            obstacle.name: np.zeros(3 * obstacle.dim - 3) for obstacle in self.rigid.values()
+        }
+        self.motions |= {bolt.path_name: np.zeros(1) for bolt in self.bolts}
         self.places = self.placed({}, {})  # from there the discretisation counts slips
 
     def prescribed_numbers(self) -> list[list[float]]:
@@ -748,11 +735,11 @@ class Search(Generic[Carried]):
     def differences(self, trial: _Trial[Carried], reach: float) -> np.ndarray:
         """Return the Jacobian (n, n) at a trial, by differences over a share of ``reach``."""
         step = _DIFFERENCE * reach
-        columns = []
-        for change in step * np.eye(len(trial.values)):
-            moved = self.trial_at(trial.values + change, trial, _EXACT * reach)
-            columns.append((moved.missed - trial.missed) / step)
-        return np.stack(columns, axis=1)
+        moved = [
+            self.trial_at(trial.values + change, trial, _EXACT * reach)
+            for change in step * np.eye(len(trial.values))
+        ]
+        return np.stack([(there.missed - trial.missed) / step for there in moved], axis=1)
 
     def pulled(self, trial: _Trial[Carried]) -> _Trial[Carried]:
         """Return the first trial in which every bolt pulls; each is shortened until something

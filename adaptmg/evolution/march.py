@@ -377,7 +377,8 @@ class March:
             # a start with the acceleration of the step before lets errors that alternate grow, up to
             # the tolerance
             first = discrete.relative(admissible - shift).reshape(-1)
-            past = Past.near_to(first, self._rounding_tolerance(admissible - shift, discrete.load))
+            loose = self._rounding_tolerance(admissible - shift, discrete.load)
+            past = Past(last=first, extrapolated=first, given=True, near=True, loose=loose)
         outcome, self.multigrid, _ = step_outcome(
             self.step_solver, self.multigrid, grids, examiner, run, past
         )

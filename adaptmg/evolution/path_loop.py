@@ -217,8 +217,7 @@ class PathLoop:
         """Raise ValueError if supports hold nodes inside an obstacle in step k."""
         posed = self.posed[-1]
         if posed is not None:
-            factors = self._loading(k, motions)
-            places = self.controls.placed(factors, motions)
+            places = self.controls.placed(self._loading(k, motions), motions)
             check_held(posed, grids.finest.discrete, places)
 
     def report(self, k: int, result: Result) -> str:
@@ -303,9 +302,8 @@ class PathLoop:
                     reference = problem.at_contact(self.levels[number - n_unused])
                 # coarse levels make starts only: with the slips of the nearest fine nodes four paths
                 # of ten steps take 253 cycles, without any 258
-                slips = problem.contact.accumulated_slip
-                if level is self.grids.finest:
-                    slips = self.accumulated_slip
+                is_finest = level is self.grids.finest
+                slips = self.accumulated_slip if is_finest else problem.contact.accumulated_slip
                 step = loads.step(problem, factors, reference, slips)
                 if posed is not None and places:
                     step = moved(posed, step, places, self.controls.places)

@@ -175,8 +175,7 @@ class PlasticLoop(PathLoop):
 
 def _state_of(result: Result) -> np.ndarray:
     """Return the states of the plastic patches at the end of a step."""
-    data = cast("StressData", result.stress_data)
-    return cast("PlasticState", data.plastic).state
+    return cast("PlasticState", cast("StressData", result.stress_data).plastic).state
 
 
 class _Newton:
