@@ -340,9 +340,11 @@ class Bounds(checks.Checked):
         is_limited = np.isfinite(gaps)
         n_limits = is_limited.sum(axis=(1, 2))
         nodes = np.flatnonzero(n_limits)
-        weights = self.weights
-        if weights is not None:
-            weights = bounded("bounds.weights", weights, (len(gaps),))[nodes]
+        weights = (
+            None
+            if self.weights is None
+            else bounded("bounds.weights", self.weights, (len(gaps),))[nodes]
+        )
         limited = partial(ContactNodes, nodes=nodes, weights=weights, allow_interference=True)
         dim = gaps.shape[1]
         if dim == 1:  # a scalar unknown may have both limits

@@ -216,9 +216,8 @@ def _element_size(mesh: MeshArrays, r: np.ndarray, radius: float) -> float:
     """Return the median size, m, of the elements at .2 to 1 of a radius, the edge of an equilateral one of
     the same area; infinite if there are none."""
     ring = np.abs(r[mesh.elements].mean(axis=1) / radius - 0.6) < 0.4
-    if not ring.any():
-        return np.inf
-    return float(np.median(np.sqrt(4 / np.sqrt(3) * mesh.volumes[ring])))
+    sizes = np.sqrt(4 / np.sqrt(3) * mesh.volumes[ring])
+    return float(np.median(sizes)) if len(sizes) else np.inf
 
 
 def _of_one_material(

@@ -98,9 +98,11 @@ class ElementStress:
     def of_hoop(self) -> np.ndarray:
         """Return the stresses rr, zz, hoop, rz (n_elements, 4), Pa, of a hoop strain of 1, which varies
         within linear elements."""
-        if self.data.smoothed:
-            return np.zeros((len(self.mesh.elements), 4))
-        return self.data.of_elements(self.mesh).of_hoop()
+        return (
+            np.zeros((len(self.mesh.elements), 4))
+            if self.data.smoothed
+            else self.data.of_elements(self.mesh).of_hoop()
+        )
 
     def tractions(
         self, elements: np.ndarray, normals: np.ndarray, facets: np.ndarray, rule: np.ndarray
