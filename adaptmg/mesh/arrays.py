@@ -706,7 +706,7 @@ def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
 
 def facet_order(facets: np.ndarray, n_nodes: int) -> np.ndarray:
     """Return the order of facets (n, dim) by key, equal ones as they come, by counting nodes from the
-    highest to the lowest: 116 000 edges take 1.1 ms, a sort of their keys 3.2 to 5.6."""
+    highest to the lowest: 116 000 edges take 1.2 ms, a sort of their keys 3.2 to 5.6."""
     order = np.arange(len(facets), dtype=np.int32)
     for nodes in reversed(_sorted_nodes(facets)):
         order = order.take(occurrences(nodes.take(order), n_nodes)[1])
