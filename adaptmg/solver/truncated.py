@@ -140,7 +140,10 @@ class TruncatedTest(StopTest):
 
     def _estimate(self) -> float:
         """Return the relative error after the last smoothing, from the energy of the last coarse
-        correction and the rate."""
+        correction and the rate. A correction at rounding, as where nearly all nodes are held, has no
+        rate: there the residual stands for the error."""
+        if self.size > 0 and self.change <= self.ROUNDING_LEVEL:
+            return self.residual
         rate = self.safe_rate
         if not (self.size > 0 and rate < 1):
             return np.inf
