@@ -258,15 +258,10 @@ dims = st.sampled_from([2, 3])
 exponents = st.floats(-2, 2)
 
 
-def solve(block, force, gap, reference, limit, friction):
-    if len(force) == 2:
-        return np.array(
-            solve_2d(
-                block[0, 0], block[0, 1], block[1, 1], *force, gap, *reference, limit, friction
-            )
-        )
-    upper = block[np.triu_indices(3)]
-    return np.array(solve_3d(*upper, *force, gap, *reference, limit, friction))
+def solve(block, force, gap, reference, *law):
+    solve_node = solve_2d if len(force) == 2 else solve_3d
+    upper = block[np.triu_indices(len(force))]
+    return np.array(solve_node(*upper, *force, gap, *reference, *law))
 
 
 def problem(dim, seed, law, exponent):
@@ -317,6 +312,24 @@ def test_optimality_conditions(dim, seed, law, exponent, omega, coupling):
     block[0, 1:] *= coupling
     block[1:, 0] *= coupling
     assert_conditions(solve(block / omega, *rest), block / omega, *rest)
+
+
+@EXAMPLES
+@given(dims, seeds, laws, exponents, st.floats(-2, 1))
+def test_a_compliant_surface_yields_with_its_pressure(dim, seed, law, exponent, softness):
+    """w_n = gap + c p: the surface is a rigid one further behind."""
+    block, force, gap, *rest = problem(dim, seed, law, exponent)
+    compliance = 10.0 ** (softness - exponent)
+    w = solve(block, force, gap, *rest, compliance)
+    pressure = max(force[0] - block[0] @ w, 0.0)
+    if w[0] <= gap:
+        assert_conditions(w, block, force, gap, *rest)
+    else:
+        # to rounding of its gap, which is that of the pressure
+        yielded = gap + compliance * pressure
+        size = abs(gap) + compliance * (np.abs(force).sum() + np.abs(block @ np.diag(w)).sum())
+        assert w[0] == pytest.approx(yielded, rel=0, abs=1e-13 * size)
+        assert_conditions(w, block, force, w[0], *rest, relative=1e-13)
 
 
 @EXAMPLES
