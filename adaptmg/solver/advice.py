@@ -50,9 +50,9 @@ SPAN, METAL, IN_MPA = 10.0, 5e10, (1e3, 1e6)
 #: bodies do not meet if the gap that is left exceeds all displacements by this factor: half and twice change none of 13
 #: solves
 FAR = 10.0
-#: chords matter above this part of the gap, and where what they press is above this part of the peak: .4 E's/h, of the
-#: moduli E' of both bodies in series and chords of length h and height s. Measured on a pin in a hole with 64 to 524
-#: edges on its rim: excess of the peak .3 to .5 E's/h with the finer side as slave (.05 to .1 with the coarser one),
+#: chords matter above this part of the gap, and where what they press is above this part of the peak: .4 E'h/l, of the
+#: moduli E' of both bodies in series and chords of height h and length l. Measured on a pin in a hole with 64 to 524
+#: edges on its rim: excess of the peak .3 to .5 E'h/l with the finer side as slave (.05 to .1 with the coarser one),
 #: on Hertz's cylinder .17 with 5 to 20 edges in half of the contact
 CHORDS, PRESSED, EXCESS = 0.2, 0.4, 0.1
 #: nodes that face one node alone match: chords of both sides cancel; half and twice change none of 13 solves
@@ -64,7 +64,7 @@ FLAT = 1e-4
 #: a friction bound falls with the pressure if its derivative is below minus this: less is rounding of differences
 FALLING = checks.SIX_DIGITS
 #: shares of a slip at which it is examined whether friction falls faster than the body follows
-ON_THE_WAY = np.append(0, np.logspace(-3, 0, 7)).tolist()
+SLIP_SHARES = np.append(0, np.logspace(-3, 0, 7)).tolist()
 #: slips matter beyond an element and this share of the contact boundary; half and twice change none of 13 solves
 SLID = 0.01
 
@@ -168,7 +168,7 @@ def _advise_on_chords(
         height, length = chord
         mean_gap = np.average(np.abs(contact.gaps[pressed]), weights=contact.weights[pressed])
         modulus_in_series = 1 / (1 / posed.young(pair.slave) + 1 / posed.young(pair.master))
-        # p = .4 E' h / l, over the largest that is not reported
+        # p = .4 E' h / l, and its ratio to the least pressure that is reported
         pressure_by_chords = PRESSED * modulus_in_series * height / length
         excess = pressure_by_chords / max(EXCESS * peaks[pressed].max(), 1e-300)
         if height > CHORDS * mean_gap or excess > 1:
@@ -258,7 +258,7 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
     )
     # a node that has jumped is beyond the slips where friction falls fastest, and shows nothing
     slopes_of_slip = []
-    for share in ON_THE_WAY:
+    for share in SLIP_SHARES:
         _, _, slope_of_slip = friction_bound(discrete.friction_at, force, share * slip)
         slopes_of_slip.append(slope_of_slip)
     steepest = np.min(slopes_of_slip, axis=0)

@@ -189,6 +189,7 @@ class Aggregates:
         size, depth = _SIZE[dim]
         if n > _MANY[dim]:
             size = max(_LARGE, n // _MOST[dim])
+            # a round aggregate of this size is less deep: this stops those that grow long
             depth = round(0.9 * size ** (1 / max(dim, 2)))
         # (n_groups,): nodes of an aggregate in a body, and in its contact nodes, a surface
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], n_bodies)
@@ -287,7 +288,7 @@ def _fill(indptr, indices, data, label, offsets, held, projections, zero, sums, 
     j, whose work on the motions of j is entry a of each column; this spares products with B_j: 2.0 ms
     for 66k nodes and 4.9 for 36k in 3D, with products 2.8 and 24."""
     dim = np.uint64(len(zero))
-    half = dim * dim * (dim + ONE) // TWO
+    start_of_other = dim * dim * (dim + ONE) // TWO  # dim * modes: sums of the other aggregate
     ahead = np.int64(data.ctypes.data) + AHEAD
     for row in range(len(indptr) - 1):
         i = np.uint64(row)
@@ -302,18 +303,20 @@ def _fill(indptr, indices, data, label, offsets, held, projections, zero, sums, 
                 break
             if label[j] < 0:
                 continue
-            columns = np.uint64(0) if label[j] == own else half
+            start = np.uint64(0) if label[j] == own else start_of_other
             if label[j] != own and label[j] != other:
                 _project(i, own, other, offsets, held, projections, zero, sums, width, band)
                 other = label[j]
-            half_of_diagonal = 0.5 if j == i else 1.0
+            # the diagonal block is its own transpose: half of it belongs to either half of the matrix
+            share = 0.5 if j == i else 1.0
             offset = read(offsets, dim * j, zero)
             for a in range(dim):
-                force = scale(half_of_diagonal, read(data, dim * (dim * p + a), zero))
+                force = scale(share, read(data, dim * (dim * p + a), zero))
                 force = _projected(projections, held[j], force)
-                _increase(sums, columns + a, dim, force)
+                _increase(sums, start + a, dim, force)
                 if len(zero) > 1:
-                    _increase(sums, columns + dim * dim + a, dim, _moment(offset, force))
+                    _increase(sums, start + dim * dim + a, dim, _moment(offset, force))
+        # the sums that are left at the end of the row: those of its own aggregate and of the last other one
         for k in range(1 if other == own else 2):
             last = own if k == 0 else other
             _project(i, own, last, offsets, held, projections, zero, sums, width, band)
@@ -469,8 +472,9 @@ class _Smoothed(DenseSpan):
         matrix = sparse.csr_array(problem.matrix)
         basis = aggregates_of(problem).span(free.reshape(-1, dim)[:, :, None] * np.eye(dim))
         inverse = np.where(free, 1 / matrix.diagonal(), 0.0)
+        # damped Jacobi: ten power steps find the largest eigenvalue of D^-1 A nearly, a little too small,
+        # hence the factor 1.1. They begin at numbers without a pattern, the same in each run
         vector = np.where(free, np.sin(np.arange(len(free)) ** 2.0), 0.0)
-        # damped Jacobi: ten power steps for the largest eigenvalue of D^-1 A
         for _ in range(10):
             size = np.linalg.norm(vector)
             vector = inverse * (matrix @ (vector / size))
@@ -485,6 +489,7 @@ class _Smoothed(DenseSpan):
         rows = self.span[dofs_of(problem.contact.nodes, dim)]
         at_contact = sparse.csr_array(block_diagonal(self.frames) @ rows)
         touched = np.isin(np.arange(self.span.shape[1]), at_contact.indices)
+        # unknowns that move contact nodes, and the others, which are eliminated
         self.near = np.flatnonzero(touched)
         self.far = np.flatnonzero(~touched)
         self.rows = sparse.csr_array(at_contact[:, self.near])

@@ -385,6 +385,7 @@ class Evidence:
     def idle(self) -> bool:
         """Return whether the forces of all stresses are rounding: supports move the bodies, and
         nothing strains them."""
+        # as Sizes.nothing_strains, with its factors: nothing here comes from the solvers
         moved = float(np.abs(self.problem.fixed_values).max(initial=0.0))
         return moved > 0.0 and self.internal <= 1e3 * self.rounding and self.length <= 10 * moved
 
@@ -591,7 +592,9 @@ class Evidence:
         forces = self.problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
         # an energy: the square of a norm
         negligible = (_NEGLIGIBLE * rtol * self.energy) ** 2
-        error, wrong = self._held(conditions, self.unknowns, forces, aggregates, negligible)
+        error, wrong = self._error_with_status_held(
+            conditions, self.unknowns, forces, aggregates, negligible
+        )
         if wrong and aggregates is not None and not error <= self.energy_rounding:
             error = self._with_changed_status(conditions, error, aggregates)
         rounding = self.energy_rounding
@@ -626,7 +629,7 @@ class Evidence:
         ]
         return float(np.sqrt(max(energies)))
 
-    def _held(
+    def _error_with_status_held(
         self,
         conditions: ContactValues,
         unknowns: np.ndarray,
@@ -659,7 +662,7 @@ class Evidence:
             negligible=negligible,
             rounding=self.rounding,
         )
-        # gaps and pressures after the correction
+        # gaps and pressures of u_h = v - y: contact nodes have moved by z - y
         gap = conditions.gap - _along(z[nodes] - corrected.moved, normals)
         pressure = -_along(contact_forces - corrected.forces, normals)
         least_gap = -_WRONG * np.linalg.norm(corrected.moved, axis=1).max(initial=0.0)
@@ -672,12 +675,12 @@ class Evidence:
         return float(size_of_z + np.sqrt(corrected.energy)), wrong
 
     def _with_changed_status(
-        self, conditions: ContactValues, held: float, aggregates: Aggregates
+        self, conditions: ContactValues, held_error: float, aggregates: Aggregates
     ) -> float:
         """Return the energy error where the contact status may change: the size of a change in the span
         of the aggregates, with the error that is left after it while the new status is held. What is
-        left is orthogonal in the energy to the change, a Galerkin solution. ``held`` is the error with
-        the present status held."""
+        left is orthogonal in the energy to the change, a Galerkin solution. ``held_error`` is the error
+        with the present status held."""
         problem = self.problem
         contact = problem.contact
         normals = contact.normals
@@ -692,7 +695,7 @@ class Evidence:
             compliance=self.compliance,
         )
         if solution is None:
-            return held
+            return held_error
         change, contact_forces = solution
         image = problem.matrix @ change
         change_size = np.sqrt(max(_sum(change, image), 0.0))
@@ -713,13 +716,15 @@ class Evidence:
         # A (u + change) - b, minus the contact forces after the change
         forces = (image - residual).reshape(self.u.shape)
         forces[contact.nodes] -= contact_forces
-        left, _ = self._held(changed_conditions, self.unknowns + change, forces, aggregates)
+        left, _ = self._error_with_status_held(
+            changed_conditions, self.unknowns + change, forces, aggregates
+        )
         changed = float(np.hypot(change_size, left))
         if left <= _FOUND * change_size:
             return changed
         # the aggregates have not found the status: the error is at most that with the status held, or
         # the size of the change
-        return min(changed, max(held, change_size))
+        return min(changed, max(held_error, change_size))
 
     def _closed(self, conditions: ContactValues) -> np.ndarray:
         """Return which contact nodes touch (n_contact,) bool: those that penetrate, and those where, in
@@ -776,7 +781,7 @@ class Evidence:
             + spring[:, None, None] * normal_parts,
             dragged=growing[:, None, None] * f[:, :, None] * normals[:, None],
         )
-        # a spring presses until its gap is closed: by -g/e more
+        # the pressure p' that closes the gap of a spring, g + e (p' - p) = 0: p' = p - g/e
         pressure = np.where(closed, conditions.pressure, 0.0) - spring * gap
         return _NearestStatus(
             status=status,

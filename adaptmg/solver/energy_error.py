@@ -398,6 +398,7 @@ class _GalerkinSolution:
         length 1, in place. Return the energy products (k + 1,) of the direction as it was with the k
         stored ones and with the new one; None, without a solution, if the square of the last one is
         not above ``least`` or the equations are singular: the status leaves a motion free."""
+        # all products before the new direction changes: they read its arrays
         overlaps = np.array([energy_product(direction) for direction in self.directions])
         length_squared = energy_product(newest) - float(overlaps @ overlaps)
         if not length_squared > least:

@@ -516,6 +516,8 @@ def _reads(
     from it, and its imports (level, module, names)."""
     chains = []
     imports = []
+    # the code itself and, as the list grows, all functions inside it. Only variables of closures that
+    # come from around the outermost function count
     parts = [code]
     for part in parts:
         parts += [constant for constant in part.co_consts if isinstance(constant, CodeType)]

@@ -405,6 +405,7 @@ class Quantities:
         is_slave = np.array([boundary in ("contact", name) for name in contact.names])
         is_master = np.array([boundary == name != "" for name in contact.masters])
         slaves = is_slave[contact.boundary]
+        # other nodes lie on the master, or on the slave surface itself, where they have no condition
         masters = np.where(
             contact.master_is_slave,
             is_slave[contact.master_boundary],
