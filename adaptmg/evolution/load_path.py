@@ -372,21 +372,26 @@ def solve_path(
     parts: dict[str, object] = {"solver": solver}
     if grids.finest.discrete.inelastic:
         parts["material"] = grids.problem.material
-    mark: dict[str, object] = {}
-    steps = None
+    # all that the steps depend on: a store with another fingerprint is refused
+    path_fingerprint: dict[str, object] = {}
+    step_store = None
     if store is not None:
         n_steps = len(path)
-        mark |= fingerprint(grids, loop.loads, loop.factors, n_steps, parts, depends, start_state)
+        path_fingerprint |= fingerprint(
+            grids, loop.loads, loop.factors, n_steps, parts, depends, start_state
+        )
         if obstacles := loop.controls.prescribed_numbers():
-            mark["obstacles and preloads"] = obstacles
-        steps = StepStore.resumed(store, _HEAD, _head(loop.factors, n_steps, mark), KINDS)
+            path_fingerprint["obstacles and preloads"] = obstacles
+        step_store = StepStore.resumed(
+            store, _HEAD, _head(loop.factors, n_steps, path_fingerprint), KINDS
+        )
     if start is not None:
         loop.continue_from(start)
     results: list[Result] = []
-    for result, coarse in () if steps is None else _results(steps, len(path)):
+    for result, coarse in () if step_store is None else _results(step_store, len(path)):
         loop.take_over(len(results), result, coarse)
         results.append(result)
-    if len(results) < len(path):
+    if len(results) < len(path):  # a path that is complete in its store has given its warnings
         warn_of_several_solutions(grids)
         advise_on_problem(grids.posed)
     for k in range(len(results), len(path)):
@@ -396,16 +401,16 @@ def solve_path(
             say(loop.report(k, result))
         results.append(result)
         if not result.status.ok:
-            partial_result = PathResult(tuple(results), loop.factors, mark, len(path))
+            partial_result = PathResult(tuple(results), loop.factors, path_fingerprint, len(path))
             if throw:
                 raise StepNotConverged(result, k, loop.described(k), partial_result)
             return partial_result
-        if steps is not None:
-            steps.put(k, _stored(k, result), loop.coarse)
+        if step_store is not None:
+            step_store.put(k, _stored(k, result), loop.coarse)
         if callback is not None:
             callback(k, result)
     advise_on_results(grids.posed, grids.finest.discrete, results)
-    return PathResult(tuple(results), loop.factors, mark, len(path))
+    return PathResult(tuple(results), loop.factors, path_fingerprint, len(path))
 
 
 def _check_start(loop: PathLoop, start: Result) -> tuple[np.ndarray, ...]:

@@ -104,15 +104,15 @@ class Past:
 
     last: np.ndarray  # solution (n_unknowns,) after the step before
     extrapolated: np.ndarray  # (n_unknowns,): from the last two steps in the loads
-    given: bool  # whether there was a step before
-    #: whether ``extrapolated`` comes from elsewhere, as a solution of this step with other motions: then it
-    #: is the start
-    near: bool = False
+    has_previous: bool  # whether there was a step before
+    #: whether ``extrapolated`` is not an extrapolation but the start to take, as a solution of this step
+    #: with other motions of obstacles
+    is_start: bool = False
     loose: float = 0.0  # tolerance that suffices, if it is larger than that of the solver
     #: displacements (n_dofs,), coarsest level first, after the step before, and from the last two steps in
     #: the loads; nested starts need them
-    levels: list[np.ndarray] = field(default_factory=list)
-    extrapolated_levels: list[np.ndarray] = field(default_factory=list)
+    level_displacements: list[np.ndarray] = field(default_factory=list)
+    extrapolated_level_displacements: list[np.ndarray] = field(default_factory=list)
 
 
 def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
@@ -148,6 +148,7 @@ def extrapolated_outcome(
     which its result needs anyway: 20 such steps on 4225 nodes take 0.6 of the time. 17 paths with 340
     steps take 1241 cycles in place of 1326, and the certificate refuses 10 of 173 extrapolations; if
     a tenth of the residual is required, 1279 cycles, and it refuses none of 144."""
+    # the extrapolation with the values that supports prescribe in this step
     solution = problem.with_prescribed(problem.from_prescribed(past.extrapolated))
     with run.phase("start"):
         residual = examiner.relative_residual(solution)
@@ -171,12 +172,12 @@ def step_outcome(
     # an ActiveSet that repeats the loads would find no slip, and so no direction for friction at its bound,
     # and its Newton steps may cycle: the old solution comes first
     is_repeated = isinstance(solver, ActiveSet) and np.array_equal(past.extrapolated, past.last)
-    extrapolates = past.given and not past.near and (is_truncated or is_repeated)
+    extrapolates = past.has_previous and not past.is_start and (is_truncated or is_repeated)
     rtol = getattr(solver, "rtol", None)
     if extrapolates and isinstance(rtol, float):  # not "discretisation", which needs a nested start
         outcome = extrapolated_outcome(hierarchy.finest.discrete, rtol, examiner, run, past)
         if outcome is not None:
-            return outcome, multigrid, past.extrapolated_levels[:-1]
+            return outcome, multigrid, past.extrapolated_level_displacements[:-1]
     if is_truncated:
         return resumed(cast("Multigrid", solver), multigrid, hierarchy, examiner, run, past)
     return restarted(solver, hierarchy, examiner, run, past), None, None
@@ -192,11 +193,11 @@ def restarted(
 ) -> Outcome:
     """Solve a step by a solver that begins again: the first step without a start, others from the
     better one of the two that :class:`Past` has."""
-    if not (past.given or past.near):
+    if not (past.has_previous or past.is_start):
         return solver.run(hierarchy, run, None)
     if isinstance(solver, FullMultigrid):
         solver = without_nested_start(solver)
-    start = past.extrapolated if past.near else better_start(examiner, past, run)
+    start = past.extrapolated if past.is_start else better_start(examiner, past, run)
     return solver.run(hierarchy, run, start)
 
 
@@ -218,18 +219,18 @@ def resumed(
         multigrid.pose(hierarchy, run)
     multigrid.rtol = solver.rtol if isinstance(solver.rtol, str) else max(solver.rtol, past.loose)
     coarse = None
-    origin = "given" if past.given else "zero"
-    if past.near:
+    origin = "given" if past.has_previous else "zero"
+    if past.is_start:
         start = past.extrapolated
     elif isinstance(solver, FullMultigrid):
         start, coarse = _nested_start(solver, multigrid, examiner, run, past)
-        origin = "given" if past.given else "nested"
-    elif past.given:
+        origin = "given" if past.has_previous else "nested"
+    elif past.has_previous:
         start = better_start(examiner, past, run)
     else:
         start = np.zeros(problem.n_unknowns)
     outcome = multigrid.finish(problem.from_prescribed(start), origin)
-    # after a cycle that diverged the set-up is not used again
+    # a run that leaves cycles to another method has diverged or stalled: its set-up is not used again
     return outcome, None if outcome.left else multigrid, coarse
 
 
@@ -239,13 +240,13 @@ def _nested_start(
     """Return the nested start (n_unknowns,) of a step, which carries the change of the step, or the
     extrapolation where this leaves far less residual, and the displacements of the coarse levels."""
     problem = multigrid.problems[-1]
-    levels_before = past.levels if past.given else None
-    *coarse_solutions, start = multigrid.nested_start(solver.start, levels_before)
+    displacements_before = past.level_displacements if past.has_previous else None
+    *coarse_solutions, start = multigrid.nested_start(solver.start, displacements_before)
     coarse = [
         coarse_problem.parts(solution)[0]
         for coarse_problem, solution in zip(multigrid.problems[:-1], coarse_solutions, strict=True)
     ]
-    if past.given:
+    if past.has_previous:
         # the pressures of the last step, next to the displacement of the nested start
         start[problem.n_dofs :] = past.last[problem.n_dofs :]
         if solver.rtol != "discretisation":  # this tolerance comes from the nested start
@@ -334,6 +335,7 @@ class Controls:
             return result
         mesh = need_mesh(self.level)
         discrete = self.level.discrete
+        # the largest diagonal entry of a block of the matrix: force over displacement of a single node
         stiffness = float(
             np.abs(discrete.matrix.data[:, range(discrete.dim), range(discrete.dim)]).max()
         )
@@ -363,7 +365,7 @@ class Controls:
         problem = cast("ContactProblem", self.problem)
         dim = obstacle.dim
         free = list(obstacle.free)
-        targets = obstacle.loaded(factors).targets
+        targets = obstacle.loaded(factors).targets  # NaN where the motion is prescribed
         force = float(np.linalg.norm(np.nan_to_num(targets[:dim])))
         nodes = mesh.surface(problem.contact[number].boundary).nodes
         extent = float(np.linalg.norm(np.ptp(mesh.points[nodes], axis=0)))
@@ -445,10 +447,11 @@ class Controls:
         contact problem begins after ``limit`` cycles."""
         search = Search(self, parts, solve, limit)
         guide = Guide(self, parts, posed)
-        values = np.concatenate([self.motions[part.name][list(part.free)] for part in parts])
-        values = guide.balanced_values(values / search.sizes)
+        motions = np.concatenate([self.motions[part.name][list(part.free)] for part in parts])
+        # from here on over their sizes
+        values = guide.balanced_values(motions / search.sizes)
         try:
-            has_bolts = len(guide.parts) < len(parts)
+            has_bolts = len(guide.parts) < len(parts)  # the guide has the obstacles alone
             if has_bolts:
                 trial = search.run(search.pulled(search.trial_at(values, None, _LOOSE)), None)
             else:
@@ -498,7 +501,8 @@ class Guide:
         self.posed = posed
         self.all_parts = parts
         self.parts = [part for part in parts if part.number is not None]
-        self.size = sum(len(part.targets) for part in self.parts)
+        #: number of the motions of obstacles, which come before the strains of bolts in all unknowns
+        self.n_motions = sum(len(part.targets) for part in self.parts)
         self.sizes = np.concatenate([part.sizes for part in parts])
         self.spent: list[Run] = []
         levels = posed(controls.motions).levels
@@ -510,24 +514,25 @@ class Guide:
         self.finest_number = len(levels) - 1
         #: number of the level on which motions are found
         self.level_number = small_levels[-1] if small_levels else self.finest_number
-        #: tolerance that suffices where the finest level begins
+        #: tolerance that suffices for the first contact problem on the finest level, whose forces are off by
+        #: about the share _COARSE if a coarser level finds the motions
         self.loose = 0.0 if self.level_number == self.finest_number else _LOOSE * _COARSE
 
     def balanced_values(self, values: np.ndarray) -> np.ndarray:
         """Return values of the unknowns with which obstacles balance their forces, by a few steps to
         first order from ``values``; or the last ones, where equations become singular."""
         values = values.copy()
-        for _ in range(_RELINEARISED if self.size else 0):
+        for _ in range(_RELINEARISED if self.n_motions else 0):
             try:
-                change = self._balancing_change(values, np.zeros(self.size))
+                change = self._balancing_change(values, np.zeros(self.n_motions))
             except ValueError:  # singular equations
                 if not self.spent:
                     raise
                 break
-            # a change of that many sizes means that only the soft springs resist
+            # a million times the size that the forces suggest: only the soft springs resist
             if not np.abs(change).max() < 1 / checks.SIX_DIGITS:
                 raise nothing_resists(self.parts)
-            values[: self.size] += change
+            values[: self.n_motions] += change
             if np.abs(change).max() <= _COARSE:
                 break
         return values
@@ -549,8 +554,8 @@ class Guide:
         """Return the Jacobian (n, n) of forces by motions, as the inverse of the differences of motions
         for small changes of the forces; None where equations are singular."""
         try:
-            rest = self._balancing_change(values, np.zeros(self.size))
-            changes = _DIFFERENCE * np.eye(self.size)
+            rest = self._balancing_change(values, np.zeros(self.n_motions))
+            changes = _DIFFERENCE * np.eye(self.n_motions)
             moved = [self._balancing_change(values, force) - rest for force in changes]
             return np.linalg.inv(np.stack(moved, axis=1) / _DIFFERENCE)
         except ValueError:  # singular equations, also those of numpy.linalg.inv
@@ -567,14 +572,14 @@ class Guide:
         motions = self.controls.motions_of(self.all_parts, values * self.sizes)
         posed = self.posed(motions)
         discrete = posed[self.level_number].discrete
-        n = self.size
+        n = self.n_motions
         dim = discrete.dim
-        # motions over z: 1, or 1 over the arm
+        # motions over z, by which all z become lengths: 1 of displacements, 1 over the arm of rotations
         scales = np.concatenate([part.sizes / part.sizes[0] for part in self.parts])
         forces = np.concatenate(
             [part.targets + part.force_sizes * extra[part.indices] for part in self.parts]
         )
-        # the matrix has blocks of dim dofs: motions that are fixed complete the last one
+        # the matrix has blocks of dim dofs: columns of zeros, whose dofs are fixed, complete the last one
         moves = np.pad(self._moves(discrete, scales), ((0, 0), (0, -n % dim)))
         padded = moves.shape[1]
         basis = sparse.hstack([sparse.eye_array(discrete.n_dofs), sparse.csr_array(moves)], "csr")
@@ -606,13 +611,13 @@ class Guide:
         the size ``scales`` (n,)."""
         contact = discrete.contact
         points = cast("np.ndarray", discrete.coordinates)
-        moves = np.zeros((discrete.n_nodes, discrete.dim, self.size))
+        moves = np.zeros((discrete.n_nodes, discrete.dim, self.n_motions))
         for part in self.parts:
             nodes = contact.nodes[contact.boundary == part.number]
             arms = points[nodes] - self.controls.rigid[cast("int", part.number)].about
             of_unit = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
             moves[nodes, :, part.indices] = of_unit * scales[part.indices]
-        return np.stack([discrete.free_part(moves[:, :, k]) for k in range(self.size)], axis=1)
+        return np.stack([discrete.free_part(moves[:, :, k]) for k in range(self.n_motions)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -686,6 +691,7 @@ class Search(Generic[Carried]):
         an updated one reduces hardly anything, differences at the same trial replace it."""
         reach = 1.0  # size of the last changes of the values, to which differences are scaled
         jacobian = None
+        # the limit counts the cycles from this first trial on, not those that shorten bolts before it
         self.budget = self.cycles - trial.result.cycles + self.limit
         while trial.result.status.ok and not self.reached(trial) and len(self.spent) < _MOST:
             by_differences = jacobian is None and guide is None
@@ -708,11 +714,12 @@ class Search(Generic[Carried]):
                 guide = None
                 continue
             if not by_differences and new_missed_size > 0.9 * missed_size:
-                jacobian = None
+                jacobian = None  # differences at the same trial replace it
                 continue
             # J + (F(z + d) - F(z) - J d) d' / d'd
             update = new.missed - trial.missed - jacobian @ change
             jacobian = jacobian + np.outer(update, change) / max(change @ change, _TINY)
+            # a change that happens to be tiny shortens the next differences to a tenth at most
             reach = max(np.abs(change).max(), 0.1 * reach)
             trial = new
         return trial
@@ -724,10 +731,11 @@ class Search(Generic[Carried]):
         resist, where the singular values of J are not rounding; ValueError where differences show that
         nothing resists a direction in which forces are missed."""
         left_vectors, stiffnesses, right_vectors = np.linalg.svd(jacobian)
-        # of tolerance over step, of differences
+        # errors of differences: the tolerance of their contact problems over their step, both over ``reach``
         noise = _EXACT / _DIFFERENCE if by_differences else 0.0
         resisted = stiffnesses > max(checks.SIX_DIGITS * stiffnesses[0], noise)
         components = left_vectors.T @ missed
+        # an unresisted force that is missed by more than a thousandth of its size cannot be met
         if by_differences and np.abs(components[~resisted]).max(initial=0.0) > 1e-3:
             raise nothing_resists(self.parts)
         return -right_vectors[resisted].T @ (components[resisted] / stiffnesses[resisted])
@@ -748,6 +756,7 @@ class Search(Generic[Carried]):
             change = np.zeros(len(trial.values))
             for part in self.parts:
                 target = part.targets[0] / part.force_sizes[0]
+                # the force in the bolt, over its size, is the prescribed one plus what is missed
                 if part.number is None and target + trial.missed[part.first] < _PULLS * target:
                     change[part.first] = 2.0**doubling
             if not change.any():
@@ -774,7 +783,7 @@ def _rigid_moves(arms: np.ndarray) -> np.ndarray:
     """Return the displacements (n, 3 or 6, dim) of points with these arms (n, dim) in each rigid motion
     of size 1: translations, then rotations."""
     n, dim = arms.shape
-    axes = np.eye(3) if dim == 3 else np.eye(3)[2:]  # of rotation
+    axes = np.eye(3) if dim == 3 else np.eye(3)[2:]  # of rotation: in the plane z alone
     spatial = np.pad(arms, ((0, 0), (0, 3 - dim)))
-    turns = np.cross(axes, spatial[:, None])[:, :, :dim]
-    return np.concatenate([np.broadcast_to(np.eye(dim), (n, dim, dim)), turns], axis=1)
+    rotations = np.cross(axes, spatial[:, None])[:, :, :dim]
+    return np.concatenate([np.broadcast_to(np.eye(dim), (n, dim, dim)), rotations], axis=1)

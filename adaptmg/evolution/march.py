@@ -188,10 +188,10 @@ def _results(
         loop.take(stored.value)
         yield stored.value
         first += 1
-    kinds: set[str] = set()
+    warned_kinds: set[str] = set()  # each kind of warning is given once in a march
     for k in range(first, n_steps):
         callback = partial(progress, k) if callable(progress) else None
-        with one_blas_thread(), once(kinds):
+        with one_blas_thread(), once(warned_kinds):
             result = loop.step(k, k % certify_every == 0, callback)
         if progress is True:
             say(
@@ -230,6 +230,7 @@ def _time_step_grids(grids: Grids, dynamics: Dynamics) -> Grids:
     if problem.inelastic:
         raise ValueError("grids: march has no plastic bodies: give all bodies elastic materials")
     grids.finest.discrete.need_no_volumes("march")
+    # the matrix of the module: (1/2 + beta/tau) K + 2/tau^2 M
     levels = []
     for level, posed_level in zip(grids.levels, cast("list[Posed]", posed), strict=True):
         discrete = assembled(
@@ -240,7 +241,8 @@ def _time_step_grids(grids: Grids, dynamics: Dynamics) -> Grids:
                 mass=2 / dynamics.step**2 * lumped_mass(posed_level, dynamics),
             ),
         )
-        # the lumped mass is in no posed problem: of nested meshes its coarse matrices are not Galerkin ones
+        # solvers take coarse matrices of nested posed problems for Galerkin products of the fine one; those
+        # with lumped masses are not, so that these levels have no posed problem
         levels.append(level.posing(discrete=discrete, posed=None))
     return replace(grids, levels=tuple(levels))
 
@@ -339,6 +341,7 @@ class March:
         if not overlap.max(initial=0.0) > np.finfo(float).eps * np.abs(displacement).max():
             return displacement
         if self.discrete.coupling is None:
+            # the lumped mass of a node is a number: the nearest place without overlap lies along the normal
             result = displacement.copy()
             result[contact.nodes] -= np.maximum(overlap, 0.0)[:, None] * contact.normals
             return result
@@ -374,11 +377,13 @@ class March:
             discrete = grids.finest.discrete
             examiner = Examiner(discrete, certified=certified)
             run.examiner = examiner if certified else None
-            # a start with the acceleration of the step before lets errors that alternate grow, up to
-            # the tolerance
+            # the step starts at u_p. A start with the acceleration of the step before lets errors whose sign
+            # alternates from step to step grow, up to the tolerance
             first = discrete.relative(admissible - shift).reshape(-1)
             loose = self._rounding_tolerance(admissible - shift, discrete.load)
-            past = Past(last=first, extrapolated=first, given=True, near=True, loose=loose)
+            past = Past(
+                last=first, extrapolated=first, has_previous=True, is_start=True, loose=loose
+            )
         outcome, self.multigrid, _ = step_outcome(
             self.step_solver, self.multigrid, grids, examiner, run, past
         )
@@ -473,16 +478,17 @@ class March:
     def _contact_losses(self, contact: ContactResult) -> tuple[float, float]:
         """Return the energies -F . (u^(k+1) - u^k), N m, that friction takes on slips, and normal forces on
         the change g^(k+1) - g^k of gaps."""
-        # conditions of nodes that take over a part of others are sums, contact results are means
-        share = contact.measures / contact.weights
+        # the condition of a node that takes over the shares V of others is a sum with weights of sum
+        # 1 + sum(V) = measures / weights; contact results are the means
+        weight_sums = contact.measures / contact.weights
         friction_work = np.sum(contact.force_t * contact.slip, axis=1)
         # only of closed nodes: at open ones the tolerance leaves forces, and gaps may be long
-        opening = (self._overlap(self.displacement) + share * contact.gap) * contact.closed
-        return -np.sum(share * friction_work), -np.sum(contact.force_n * opening)
+        opening = (self._overlap(self.displacement) + weight_sums * contact.gap) * contact.closed
+        return -np.sum(weight_sums * friction_work), -np.sum(contact.force_n * opening)
 
     def _shifted_back(self, contact: ContactResult, shift: np.ndarray) -> ContactResult:
         """Return a contact result relative to a ``shift`` (n_nodes, dim) with whole displacements."""
-        share = contact.measures / contact.weights  # as in _contact_losses
-        shifted = self.discrete.at_contact(self.discrete.relative(shift)) / share[:, None]
+        weight_sums = contact.measures / contact.weights  # sums over means, as in _contact_losses
+        shifted = self.discrete.at_contact(self.discrete.relative(shift)) / weight_sums[:, None]
         moved = to_frames(contact.frames, shifted)
         return replace(contact, u_n=contact.u_n + moved[:, 0], u_t=contact.u_t + moved[:, 1:])

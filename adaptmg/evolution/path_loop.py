@@ -77,13 +77,13 @@ class PathLoop:
         #: the solver with the tolerance of the steps, and what its truncated multigrid has set up
         self.step_solver = solver
         self.multigrid: TruncatedRun | None = None
-        #: displacements of the last step on the levels: the method returns those of coarse levels, or they are
-        #: interpolated
-        self.levels = [
+        #: displacements (n_dofs,) after the last step on the levels that the method uses, coarsest first: it
+        #: returns those of coarse levels, or they are found from the finest
+        self.displacements = [
             np.zeros(level.discrete.n_dofs)
             for level in grids.levels[0 if grids.discretised else -1 :]
         ]
-        self.levels_before = self.levels
+        self.displacements_before = self.displacements
         self.coarse: list[np.ndarray] | None = None
         #: whether the path goes on from a result under the loads of its first step
         self.continued = False
@@ -155,12 +155,12 @@ class PathLoop:
         run.examiner = self.examiner
         with run.phase("setup"):
             past = Past(
-                levels=self.levels,
-                extrapolated_levels=self._extrapolated_levels(k),
+                level_displacements=self.displacements,
+                extrapolated_level_displacements=self._extrapolated_displacements(k),
                 last=self.recent[-1][0],
                 extrapolated=self._start(k, near),
-                given=len(self.recent) > 1,
-                near=near is not None,
+                has_previous=len(self.recent) > 1,
+                is_start=near is not None,
                 loose=loose,
             )
         if self.controls.motions:
@@ -290,8 +290,8 @@ class PathLoop:
         factors = self._loading(k, motions)
         levels = []
         places = self.controls.placed(factors, motions)
-        # coarsest levels that the method does not use
-        n_unused = len(self.grids) - len(self.levels)
+        # the coarsest levels, if the method uses the finest alone
+        n_unused = len(self.grids) - len(self.displacements)
         ends = (n_unused, len(self.grids) - 1)
         parts = zip(self.grids.levels, self.loads, self.posed, strict=True)
         for number, (level, loads, posed) in enumerate(parts):
@@ -299,7 +299,7 @@ class PathLoop:
                 problem = level.discrete
                 reference = level.discrete.contact.slip_reference
                 if len(self.recent) > 1:
-                    reference = problem.at_contact(self.levels[number - n_unused])
+                    reference = problem.at_contact(self.displacements[number - n_unused])
                 # coarse levels make starts only: with the slips of the nearest fine nodes four paths
                 # of ten steps take 253 cycles, without any 258
                 is_finest = level is self.grids.finest
@@ -321,8 +321,8 @@ class PathLoop:
         self.accumulated_slip = result.contact.accumulated_slip
         solution = np.append(displacement, result.pressures)
         self.recent = [*self.recent[-1:], (solution, self._factor_array(k))]
-        self.levels_before = self.levels
-        self.levels = (
+        self.displacements_before = self.displacements
+        self.displacements = (
             coarse_displacements(grids, displacement) if coarse is None else [*coarse, displacement]
         )
 
@@ -347,12 +347,12 @@ class PathLoop:
         last = self.recent[-1][0]
         return last + self._ratio(k) * (last - self.recent[0][0])
 
-    def _extrapolated_levels(self, k: int) -> list[np.ndarray]:
+    def _extrapolated_displacements(self, k: int) -> list[np.ndarray]:
         """Return the displacements of all levels for step k, extrapolated as the start. Ten paths take
         1323 cycles; with those of the last step in place of it, where an extrapolation is accepted,
         1347."""
         ratio = self._ratio(k)
-        pairs = zip(self.levels, self.levels_before, strict=True)
+        pairs = zip(self.displacements, self.displacements_before, strict=True)
         return [last + ratio * (last - before) for last, before in pairs]
 
 

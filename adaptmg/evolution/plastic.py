@@ -89,6 +89,7 @@ class PlasticLoop(PathLoop):
         factors = super()._factors_at(k)
         if self.share == 1.0:
             return factors
+        # the first step starts from zero loads, or, if the path goes on from a result, under its own loads
         before = factors if self.continued else dict.fromkeys(factors, 0.0)
         if k:
             before = super()._factors_at(k - 1)
@@ -139,18 +140,18 @@ class PlasticLoop(PathLoop):
         data = self._stress_data(k, motions)
         if self._at_rest(forces) and not self.state.any():
             result = self._undeformed(k, grids, run, motions)
-            at = self.plastic.respond(problem, np.zeros(problem.n_dofs), self.state)
-            data = self.plastic.result(problem, at, cast("StressData", data))
+            response = self.plastic.respond(problem, np.zeros(problem.n_dofs), self.state)
+            data = self.plastic.result(problem, response, cast("StressData", data))
             return replace(result, stress_data=data), (grids, None)
         with run.phase("tangent"):
-            at = self._start_response(k, problem)
+            response = self._start_response(k, problem)
         newton = _Newton(self, grids, run)
-        outcome, last = newton.run(at)
-        at = newton.at
+        outcome, tangent_grids = newton.run(response)
+        response = newton.response
         with run.phase("result"):
-            data = self.plastic.result(problem, at, cast("StressData", data))
+            data = self.plastic.result(problem, response, cast("StressData", data))
             result = result_of(
-                last,
+                tangent_grids,
                 newton.examiner,
                 run,
                 checked_outcome(outcome, self.solver, problem),
@@ -164,13 +165,13 @@ class PlasticLoop(PathLoop):
         load turns round, as bodies are elastic there, and where it solves this step, too, as where
         contact has been lost; else at the extrapolation."""
         last = problem.with_prescribed(problem.from_prescribed(self.recent[-1][0]))
-        at = self.plastic.respond(problem, last, self.state)
+        response = self.plastic.respond(problem, last, self.state)
         if self._ratio(k) > 0:
-            tangent = self.plastic.linearised(problem, at)
+            tangent = self.plastic.linearised(problem, response)
             missed = Examiner(tangent, certified=False).relative_residual(last)
             if missed > StopTest.RESIDUAL_FACTOR * self.rtol:
                 return self.plastic.respond(problem, self._start(k, None), self.state)
-        return at
+        return response
 
 
 def _state_of(result: Result) -> np.ndarray:
@@ -196,13 +197,13 @@ class _Newton:
         self.rtol = loop.rtol
         self.cycles = 0
 
-    def run(self, at: Response) -> tuple[Outcome, Grids]:
+    def run(self, response: Response) -> tuple[Outcome, Grids]:
         """Return the outcome, and the hierarchy with the tangent at the solution.
 
         The method ends with an iterate that the certificate finds accurate enough, which is asked only
         after a contact problem that was solved to ``rtol``, the last one so far; with a contact problem
         that cannot be solved; or after ``_MOST`` of them."""
-        self.at = at
+        self.response = response
         tolerance = _FIRST  # of the next contact problem; at most rtol after the last one
         status = Status.LIMIT
         error = np.nan
@@ -210,7 +211,7 @@ class _Newton:
             grids = self._linearised()
             tangent = grids.finest.discrete
             self.examiner = Examiner(tangent)
-            solution = self.at.displacement
+            solution = self.response.displacement
             if number and tolerance <= self.rtol:
                 checked = cast("Certificate", self.examiner(solution, self.rtol).checked)
                 error = checked.energy_error
@@ -219,31 +220,33 @@ class _Newton:
                     break
             if number == _MOST:
                 break
-            last = tolerance <= self.rtol  # if the certificate then agrees
-            outcome = self._contact_problem(grids, max(tolerance, self.rtol), last)
+            is_last = tolerance <= self.rtol  # if the certificate then agrees
+            outcome = self._contact_problem(grids, max(tolerance, self.rtol), is_last)
             # a limit of cycles is enough progress for an inexact step
             if outcome.status in (Status.DIVERGED, Status.STALLED, Status.CYCLING):
                 status = outcome.status
                 break
-            tangent_before = self.at.tangent
-            change = self._go(tangent, outcome.solution)
+            tangent_before = self.response.tangent
+            change = self._advance(tangent, outcome.solution)
             # Newton's method converges quadratically: a share of the last change, or where that is small
             # its square; where the tangent stays, the next contact problem is exact
             tolerance = min(tolerance, min(_SHARE, change) * change)
-            if np.array_equal(tangent_before, self.at.tangent):
+            if np.array_equal(tangent_before, self.response.tangent):
                 tolerance = min(tolerance, self.rtol)
             self.recorder.record(
                 cycle=0, newton_step=number + 1, newton_change=change, newton_part=self.part
             )
         return (
-            Outcome(self.at.displacement, status, self.cycles, self.rtol, error_estimate=error),
+            Outcome(
+                self.response.displacement, status, self.cycles, self.rtol, error_estimate=error
+            ),
             grids,
         )
 
     def _linearised(self) -> Grids:
         """Return the hierarchy with the tangent on the finest level."""
         with self.recorder.phase("tangent"):
-            tangent = self.plastic.linearised(self.problem, self.at)
+            tangent = self.plastic.linearised(self.problem, self.response)
             grids = self.grids
             if not grids.discretised:
                 coarse = [level.prolongation for level in grids.levels[1:]]
@@ -252,33 +255,35 @@ class _Newton:
             finest = grids.finest.posing(discrete=tangent)
             return replace(grids, levels=(*grids.levels[:-1], finest))
 
-    def _contact_problem(self, grids: Grids, tolerance: float, last: bool) -> Outcome:
-        """Solve the contact problem of the tangent from the last iterate."""
+    def _contact_problem(self, grids: Grids, tolerance: float, is_last: bool) -> Outcome:
+        """Solve the contact problem of the tangent from the last iterate; ``is_last``: after it the
+        certificate may end the load step."""
         solver = self.solver
-        start = self.at.displacement
+        start = self.response.displacement
         unloaded = not start.any()
         if isinstance(solver, FullMultigrid) and not (unloaded and grids.discretised):
             solver = without_nested_start(solver)
         if is_dataclass(solver) and hasattr(solver, "rtol"):
             changed: dict[str, float] = {"rtol": tolerance}
-            if isinstance(solver, Multigrid) and not last:
+            if isinstance(solver, Multigrid) and not is_last:
                 changed["max_cycles"] = min(_CYCLES, solver.max_cycles)
             solver = replace(cast("Any", solver), **changed)
         run = self.recorder
         run.first_cycle = self.cycles
-        # what is not the last needs no certificate
-        run.examiner = self.examiner if last else None
+        # only the last contact problem needs a certificate
+        run.examiner = self.examiner if is_last else None
         outcome = solver.run(grids, run, None if unloaded else start)
         outcome = handed_over(checked_outcome(outcome, solver, self.problem), grids, run)
         self.cycles += outcome.cycles
         run.first_cycle = self.cycles
         return outcome
 
-    def _go(self, tangent: DiscreteProblem, solution: np.ndarray) -> float:
+    def _advance(self, tangent: DiscreteProblem, solution: np.ndarray) -> float:
         """Go towards the solution of a contact problem, and return the change over the solution, in
         the energy norm of the tangent."""
-        direction = solution - self.at.displacement  # d = w - u
-        # lambda: the forces of contact and supports
+        direction = solution - self.response.displacement  # d = w - u
+        # lambda = A w - b of the tangent, the forces of contact and supports: at other dofs it is the residual
+        # that the solver leaves
         has_forces = tangent.fixed.copy()
         has_forces.reshape(-1, tangent.dim)[tangent.contact.nodes] = True
         forces = np.where(has_forces, -tangent.residual(solution), 0.0)
@@ -289,10 +294,11 @@ class _Newton:
             return -float(direction @ (response.missed + forces))
 
         with self.recorder.phase("tangent"):
-            self.at, self.part = self._searched(direction, slope)
-        stretch = float(direction @ (tangent.matrix @ direction))
+            self.response, self.part = self._searched(direction, slope)
+        # squares of the energy norms of t d, but for t, and of w
+        change = float(direction @ (tangent.matrix @ direction))
         size = float(solution @ (tangent.matrix @ solution))
-        return self.part * float(np.sqrt(max(stretch, 0.0) / size)) if size > 0 else 0.0
+        return self.part * float(np.sqrt(max(change, 0.0) / size)) if size > 0 else 0.0
 
     def _searched(
         self, direction: np.ndarray, slope: Callable[[Response], float]
@@ -303,21 +309,21 @@ class _Newton:
         Regula falsi keeps the slope negative at the first end of an interval and positive at the
         second; the slope of an end that stays twice counts half (the rule of Illinois)."""
         ends = [0.0, 1.0]
-        slopes = [slope(self.at), np.nan]
+        slopes = [slope(self.response), np.nan]
         small = _SLOPE * abs(slopes[0])
         part = 1.0
         last_end = -1
         for _ in range(_TRIALS):
-            displacement = self.at.displacement + part * direction
+            displacement = self.response.displacement + part * direction
             response = self.plastic.respond(self.problem, displacement, self.state)
-            present = slope(response)
-            end = int(present > 0)
-            if abs(present) <= small or (part == 1.0 and not end):
+            new_slope = slope(response)
+            end = int(new_slope > 0)  # the end of the interval that is replaced
+            if abs(new_slope) <= small or (part == 1.0 and not end):
                 break
             if end == last_end:
                 slopes[1 - end] *= 0.5
             last_end = end
             ends[end] = part
-            slopes[end] = present
+            slopes[end] = new_slope
             part = ends[0] - slopes[0] * (ends[1] - ends[0]) / (slopes[1] - slopes[0])
         return response, part

@@ -209,6 +209,7 @@ def _corners(dim: int) -> np.ndarray:
             further_corners = [[(unit[a] + unit[b] + unit[c]) / 3, centroid] for c in others]
         for corners in further_corners:
             cell = np.array([unit[a], unit[b], *corners])
+            # the determinant has the sign of the volume: exchanged ends of the edge make it positive
             is_positive = np.linalg.det(cell) > 0
             cells.append(cell if is_positive else cell[[1, 0, *range(2, dim + 1)]])
     return np.array(cells)
@@ -288,7 +289,7 @@ def _stress_data(before: _Side, data: StressData, after: _Side) -> StressData:
     old = cast("PlasticState", data.plastic)
     state = _means(after.patches @ shared @ before.patches.T, old.state)
     parts = (_means(elements, part) for part in (old.stress, old.strain, old.accumulated))
-    return replace(result, plastic=PlasticState(state, *parts))  # stress, strain, accumulated
+    return replace(result, plastic=PlasticState(state, *parts))
 
 
 def _slips(
@@ -306,7 +307,8 @@ def _slips(
         rows = surface_interpolation(old_mesh, mesh, facets, new.node[on_boundary])
         slips = np.zeros(old_mesh.n_nodes)
         slips[old.node[source]] = old.accumulated_slip[source]
-        # nodes of the boundary that belong to another one, or that a support holds, have no slip
+        # nodes of the boundary that belong to another one, or that a support holds, have no slip: means are
+        # taken over the others
         has_slip = np.zeros(old_mesh.n_nodes)
         has_slip[old.node[source]] = 1.0
         total = rows @ slips
