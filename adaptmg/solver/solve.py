@@ -167,11 +167,10 @@ def solve(
         run.examiner = examiner
         warn_of_several_solutions(grids)
         advise_on_problem(grids.posed)
-    outcome = handed_over(
-        checked_outcome(solver.run(grids, run, first), solver, discrete), grids, run
-    )
+    outcome = checked_outcome(solver.run(grids, run, first), solver, discrete)
     if run.fallback and isinstance(solver, FinestFirst):
-        grids = posed_grids
+        grids = posed_grids  # multigrid took over on all levels
+    outcome = handed_over(outcome, grids, run)
     with run.phase("result"):
         stress_data = None
         if posed is not None:

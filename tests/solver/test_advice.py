@@ -306,6 +306,15 @@ def test_where_the_active_set_fails_multigrid_solves(monkeypatch, singular):
     assert result.status.ok and "FullMultigrid from cycle" in result.method
     assert (np.diff(result.history["cycle"]) >= 0).all()
     assert result.cycles == result.history["cycle"][-1] and result.levels == grids.table()
+    # where that fails, too, the monotone correction goes on, on all levels
+    run_multigrid = am.FullMultigrid.run
+    monkeypatch.setattr(
+        am.FullMultigrid,
+        "run",
+        lambda *arguments: replace(run_multigrid(*arguments), status=am.Status.STALLED, left=50),
+    )
+    result = am.solve(grids)
+    assert result.status.ok and "Monotone from cycle" in result.method
 
 
 @pytest.mark.parametrize(
