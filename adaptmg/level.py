@@ -124,10 +124,12 @@ class Level:
 
         def __getattr__(self, name: str) -> object:
             """Return a part that is not made yet, and make all."""
-            if self.complete or name not in self.__dataclass_fields__:
+            make = self.__dict__.get("_make")  # None: another thread has made them meanwhile
+            if make is not None and name in self.__dataclass_fields__:
+                self.__dict__.update({**vars(make()), **vars(self)})
+                self.__dict__.pop("_make", None)
+            if name not in self.__dict__:
                 raise AttributeError(f"a Level has no attribute {name!r}")
-            self.__dict__.update({**vars(self._make()), **vars(self)})
-            self.__dict__.pop("_make", None)
             return self.__dict__[name]
 
     def __getstate__(self) -> dict[str, object]:

@@ -227,9 +227,7 @@ class _NewtonState:
     unknowns: np.ndarray  # (n_dofs,), local
     # Any: a start has None of the next three, and nothing reads them there
     residual: np.ndarray | Any = None  # (n_dofs,): b - A w
-    step_data: np.ndarray | Any = (
-        None  # (n_dofs,): what the linear step takes; see contact_residual
-    )
+    step_data: np.ndarray | Any = None  # (n_dofs,): for the linear step; see contact_residual
     equations: Linearised | Any = None
     cycles: int = 0
     # contact statuses since the last interior point or the start: all of them, and the last one

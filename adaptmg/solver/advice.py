@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,16 +24,13 @@ from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.sides import STIFFER, exchangeable
 from adaptmg.discrete.stress import LOCKING, element_strain, hoop_strain
-from adaptmg.mesh.arrays import Surface, mask_of
+from adaptmg.mesh.arrays import MeshArrays, Surface, mask_of
 from adaptmg.problem import Contact, ContactPair, InitialStrain, Plane, PlaneStress
 from adaptmg.problem.laws import FollowsState
 from adaptmg.problem.surfaces import moving_parts
 from adaptmg.smoother.system import OPEN, SLIP, contact_blocks, friction_bound
 from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.result import Result
-
-if TYPE_CHECKING:
-    from adaptmg.mesh.arrays import MeshArrays, Surface
 
 #: what locking means, measured: a roller (plane strain, frictionless, squeezed between planes) on adapted meshes of
 #: 3500 nodes; at .3 they are .1 and 1.5 %

@@ -881,7 +881,8 @@ def _along(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def ratio(value: float, scale: float) -> float:
-    """Return a value over a scale: 0 for a zero value, 1 for another value over a zero scale."""
+    """Return a value over a scale: 0 for a zero value; over a zero scale 1 for another finite value, else
+    NaN."""
     return 0.0 if value == 0.0 else float(value / (scale or value))
 
 

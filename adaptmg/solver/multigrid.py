@@ -331,11 +331,12 @@ class FinestFirst:
     """The default for a small problem: the active set method on the finest level alone; where it
     fails, full multigrid on all levels of a hierarchy."""
 
+    #: the tolerance that is taken without an argument
+    rtol = cast("float", FullMultigrid.rtol)
+
     def __init__(self, grids: Grids, rtol: float | None = None) -> None:
         self.grids = grids
-        self.active_set = ActiveSet(
-            rtol=cast("float", FullMultigrid.rtol) if rtol is None else rtol
-        )
+        self.active_set = ActiveSet(rtol=self.rtol if rtol is None else rtol)
 
     def __repr__(self) -> str:
         return label(self.active_set)
