@@ -280,6 +280,18 @@ def test_a_small_problem_takes_its_finest_level_alone(divisions):
     assert sent.table() == grids.table()
 
 
+def test_a_small_slender_bar_is_told_that_the_default_tolerance_is_below_rounding():
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=1000.0, height=1.0),
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        loads=(am.Traction("top", (0.0, -1e-3)),),
+        supports=(am.Support("left", x=0, y=0),),
+    )
+    meshes = [am.mesh.structured(problem.domain, cells) for cells in ((35, 1), (70, 2))]
+    with pytest.warns(UserWarning, match="^the default rtol=1e-08 is below"):
+        am.solve(am.Hierarchy.from_meshes(problem, meshes))
+
+
 def test_larger_problems_pressures_and_paths_take_multigrid():
     larger = am.Hierarchy.uniform(am.cases.greco_bar(), (9, 18))
     rubber = replace(
