@@ -49,7 +49,7 @@ from adaptmg.discrete.mortar import MortarInterface, curved, pair_interface, spr
 from adaptmg.discrete.obstacles import free_normals, in_front_of, with_motions
 from adaptmg.discrete.sides import with_sides, young_of
 from adaptmg.discrete.supports import Boundaries, held_components, supported_nodes
-from adaptmg.discrete.ties import jump_of, tie_interfaces
+from adaptmg.discrete.ties import tie_interfaces
 from adaptmg.mesh.arrays import MeshArrays, Surface, mask_of
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Elastic, FollowsState, Law, NodalLaw, NodalStateLaw, check_law
@@ -172,9 +172,8 @@ class Posed(Boundaries):
         # jumps of periodic sides, along what supports leave free
         for tie, part in zip(self.problem.ties, self.ties, strict=True):
             if isinstance(tie, Periodic) and tie.jump is not None:
-                free = ~self.fixed[part.nodes]
-                dofs = dofs_of(part.nodes, self.mesh.dim)[free.reshape(-1)]
-                jumps = jump_of(tie, part.nodes, self)[free]
+                dofs = dofs_of(part.nodes, self.mesh.dim)
+                jumps = self.free_part(part.nodes, np.tile(tie.jump, (len(part.nodes), 1)))
                 before = result.get(tie.path_name, (dofs[:0], jumps[:0]))
                 result[tie.path_name] = tuple(map(np.append, before, (dofs, jumps)))
         return result

@@ -169,13 +169,6 @@ def _periodic(
     )
 
 
-def jump_of(tie: Tied | Periodic, nodes: np.ndarray, boundaries: Boundaries) -> np.ndarray:
-    """Return the relative displacement (n, dim) of tied nodes, m, zero along directions that supports
-    hold."""
-    jump = getattr(tie, "jump", None) or (0.0,) * boundaries.mesh.dim
-    return boundaries.free_part(nodes, np.broadcast_to(jump, (len(nodes), len(jump))))
-
-
 def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
     """Return the forces of the ties of a problem with the residual A w - b (n_dofs,), N; None
     without ties."""
