@@ -133,8 +133,8 @@ def _flat(dim: int, size: float) -> dict[str, Domain]:
 
 def _sloping(dim: int, tangent: float, size: float) -> dict[str, Domain]:
     """Return two bodies with an interface through (size / 2, 0). Their walls at x = 0 are held, except for
-    the "shoulder" next to the interface: a support must hold no part of the normal of contact nodes,
-    which slopes here."""
+    the "shoulder" next to the interface: nodes of which a support holds a part of the normal, which
+    slopes here, carry no condition of a pair."""
     left = -0.5 * tangent * size
     right = 0.5 * tangent * size
     lower = am.Polygon(
