@@ -504,7 +504,7 @@ class MultigridCycle:
         shape: str | None = None,
     ) -> None:
         """Add the correction from the next coarser level to ``unknowns``, in place; ``residual`` is
-        b - A w."""
+        b - A w. ``shape`` says how the coarse problem is solved, by default that of the options."""
         fine = self.levels[level]
         coarse = self.levels[level - 1]
         initial = self.initial[level - 1] if self.correction.needs_initial else None

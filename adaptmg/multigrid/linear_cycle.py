@@ -275,7 +275,7 @@ class LinearCycle:
         coarse_matrices = [level.matrix for level in self.levels[:number]]
         matrices = [_regular_sparse(matrix, _sizes(matrix)) for matrix in coarse_matrices]
         prolongations = [
-            _by_dofs(level.prolongation, level.matrix.n_dofs) for level in self.levels[1:number]
+            by_dofs(level.prolongation, level.matrix.n_dofs) for level in self.levels[1:number]
         ]
         prepared = cast("LinearCorrection", self.correction).setup(matrices, prolongations)
         words = "an object with solve(rhs) -> solution"
@@ -295,10 +295,10 @@ class LinearCycle:
         return solution
 
 
-def _by_dofs(prolongation: sparse.csr_array, n_dofs: int) -> sparse.csr_array:
+def by_dofs(prolongation: sparse.csr_array, n_dofs: int) -> sparse.csr_array:
     """Return a prolongation of nodal values as one of dofs; one of dofs unchanged."""
     size = n_dofs // prolongation.shape[0]
-    return sparse.csr_array(sparse.kron(prolongation, sparse.eye_array(size)))
+    return sparse.kron(prolongation, sparse.eye_array(size), format="csr")
 
 
 def _sizes(level: SplitMatrix) -> np.ndarray:

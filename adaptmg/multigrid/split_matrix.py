@@ -408,9 +408,9 @@ def gauss_seidel(
     u,
     remainder,
 ):
-    """Sweep over places of ``order``, forward or backward: D u_i = (f - A u - B u)_i with halves A
-    and B, and f - A u goes to ``remainder``. ``load`` may be ``remainder``, which then stays if A
-    has no entries."""
+    """Sweep over places of ``order``, forward or backward: D u_i = (f - a u - b u)_i, where a and b are
+    the two halves of the matrix; f - a u goes to ``remainder``. ``load`` may be ``remainder``, which
+    then stays if a has no entries."""
     dim = np.uint64(len(zero))
     step = BACKWARD if backward else FORWARD
     for k in range(last - first):

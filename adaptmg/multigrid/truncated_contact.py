@@ -241,10 +241,10 @@ class TruncatedContact:
         if self.friction_at is not None:
             forces = np.maximum(self.normal_components(residual), 0.0)
             missed = self._follow_friction(self.friction_at, forces)
-        changed, natural, reactions = classify(
+        changed, natural_squares, reaction_squares = classify(
             ZERO[self.dim], self.nodes, *self.node_data, residual, self.codes, self.pressure
         )
-        return changed, natural + missed, reactions
+        return changed, natural_squares + missed, reaction_squares
 
     def normal_components(self, vector: np.ndarray) -> np.ndarray:
         """Return the components (n_contact,) along the normals of a vector (n_dofs,), which pressures
@@ -452,13 +452,12 @@ def classify(
     pressure,
 ):
     """Update ``codes`` and ``pressure`` from local unknowns w and the residual (n_dofs,), r in the frame
-    of a node; g is the natural residual. ``zero`` are dim zeros, see
-    :mod:`adaptmg.smoother.blocks`. Return the number of codes that changed, and the sums of squares
-    of the natural residual and of the reactions."""
+    of a node. ``zero`` are dim zeros, see :mod:`adaptmg.smoother.blocks`. Return the number of codes
+    that changed, and the sums of squares of the natural residual and of the reactions."""
     dim = np.uint64(len(zero))
     changed = 0
-    natural = 0.0
-    reactions = 0.0
+    natural_squares = 0.0
+    reaction_squares = 0.0
     for node in range(len(nodes)):
         k = np.uint64(node)
         r = times(frames, dim * dim * k, read(residual, dim * np.uint64(nodes[k]), zero))
@@ -471,7 +470,7 @@ def classify(
         codes[k] = code
         p = max(r[0], 0.0)
         pressure[k] = p
-        g = natural_at(
+        natural = natural_at(
             read_upper(blocks, k, zero),
             r,
             w,
@@ -480,9 +479,9 @@ def classify(
             limit[k] + friction[k] * p,
             compliance[k],
         )
-        natural += inner(g, g)
-        reactions += inner(r, r)
-    return changed, natural, reactions
+        natural_squares += inner(natural, natural)
+        reaction_squares += inner(r, r)
+    return changed, natural_squares, reaction_squares
 
 
 @in_loop

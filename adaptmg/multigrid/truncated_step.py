@@ -45,7 +45,7 @@ from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import mask_of
 from adaptmg.multigrid import projected_sweeps
-from adaptmg.multigrid.linear_cycle import LinearCycle, least_weights, regular_matrix
+from adaptmg.multigrid.linear_cycle import LinearCycle, by_dofs, least_weights, regular_matrix
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_contact import UPPER, TruncatedContact, with_fields
@@ -351,9 +351,9 @@ class TruncatedStep:
         truncated: np.ndarray,
         pressures: np.ndarray,
     ) -> Recombinable:
-        """Return uniform ``pressures`` as a direction of recombination: their changes of the restricted
-        residual and of the missed volumes. ``whole`` is the residual before, ``truncated`` after
-        truncation."""
+        """Return uniform ``pressures`` q as a direction of recombination: their changes of the restricted
+        residual, P'(T(r - B'q) - T r), and of the missed volumes, -q/kappa. ``whole`` is the residual r
+        before the truncation T, ``truncated`` that after it."""
         volumes = self.pressures.volumes
         changed = whole - volumes.forces(pressures)
         restricted = np.empty(self.coarse.n_dofs)
@@ -476,8 +476,9 @@ class TruncatedStep:
             """Return the derivative of the energy after a part of the step."""
             return part * curvature - gain + (of_friction(part) - slope_at_begin)
 
-        # of u + part d: part d'A d - r . d, and the change of the friction's slope. Where the energy
-        # rises at the end of the step, halve to where its slope vanishes
+        # of u + part d: part d'A d - r . d, and the change of the friction's slope, since r, truncated,
+        # contains the friction at u. Where the energy rises at the end of the step, halve to where its
+        # slope vanishes
         if not slope(1.0) <= 0.0:
             accepted = 0.0
             rejected = 1.0
@@ -587,9 +588,8 @@ class CoarseContact:
         for number in reversed(range(step.number)):
             finer = step.cycle.levels[number + 1]
             coarse = step.cycle.levels[number].matrix
-            size = finer.matrix.n_dofs // finer.prolongation.shape[0]
-            nodal = sparse.kron(finer.prolongation, sparse.eye_array(size), format="csr")
-            rows = _without(rows, finer.matrix.fixed) @ nodal
+            prolongation = by_dofs(finer.prolongation, finer.matrix.n_dofs)
+            rows = _without(rows, finer.matrix.fixed) @ prolongation
             is_coarsest = number == 0
             if coarse.n_dofs > self.MOST and not is_coarsest:
                 continue
