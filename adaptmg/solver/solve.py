@@ -126,25 +126,10 @@ def solve(
     checks.flag("progress", progress)
     checks.optional_callable("callback", callback, "a row of the history")
     if in_steps:
-        from adaptmg.evolution.load_path import solve_path  # else a first solve does without it
-
-        for name, value in (("start", start), ("reference", reference)):
-            if value is not None:
-                raise ValueError(
-                    f"{name} must be None: a Rigid obstacle, a Preload or plastic bodies take several "
-                    "contact problems"
-                )
-        watched = _watched(callback, progress)
-        path = solve_path(
-            posed_grids,
-            LoadPath(),
-            solver,
-            throw=False,
-            progress=None if watched is None else lambda _, row: watched(row),
-        )
-        if throw and not path[0].status.ok:
-            raise NotConverged(path[0])
-        return path[0]
+        result = _first_step(posed_grids, solver, start, reference, _watched(callback, progress))
+        if throw and not result.status.ok:
+            raise NotConverged(result)
+        return result
     discrete = grids.finest.discrete
     exact = displacement_argument("reference", reference, discrete)
     first = start_argument(start, discrete)
@@ -196,6 +181,26 @@ def solve(
     if throw and not result.status.ok:
         raise NotConverged(result)
     return result
+
+
+def _first_step(
+    grids: Grids,
+    solver: Solver,
+    start: ArrayLike | Result | None,
+    reference: ArrayLike | Result | None,
+    watched: Callable[[dict[str, float]], None] | None,
+) -> Result:
+    """Return the result under all loads of a problem that takes several contact problems."""
+    from adaptmg.evolution.load_path import solve_path  # other first solves do without it
+
+    for name, value in (("start", start), ("reference", reference)):
+        if value is not None:
+            raise ValueError(
+                f"{name} must be None: a Rigid obstacle, a Preload or plastic bodies take several "
+                "contact problems"
+            )
+    progress = None if watched is None else lambda _, row: watched(row)
+    return solve_path(grids, LoadPath(), solver, throw=False, progress=progress)[0]
 
 
 def _watched(
