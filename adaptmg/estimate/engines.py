@@ -110,7 +110,8 @@ _AIM = 0.95
 #: nodes that halving a marked element adds, by dimension: 1.8 to 2.3 on the last meshes of 10 loops in the plane, 2.6
 #: and 4 of two in space
 _ADDED = {2: 2.0, 3: 2.6}
-#: nodes grow like this power of the number of marked elements, as closures cost a smaller set more: .67 to .92 measured there
+#: nodes grow like this power of the number of marked elements, as closures cost a smaller set more: measured there .67
+#: to .92
 _POWER = 0.85
 #: elements are halved twice where once leaves more than this part of the mean square, and of the smallest marked one:
 #: half makes errors at equal nodes of 10 loops .8 to 20 % larger, twice .7 % with 8 % more work
