@@ -542,8 +542,8 @@ def numbers(column: pd.Series) -> pd.Series | None:
 def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None:
     """Return the parameters of a drawing: along the axis the numeric one with most values, for the
     lines the one with most of the others that have few; None if none varies. A parameter that is
-    different in every run (a seed) is chosen only where all are; then runs are separate points, unless
-    it is the only one that varies."""
+    different in every run (a seed) has no lines, as each would be a point, and is along the axis only
+    where all are; then runs are separate points, unless it is the only one that varies."""
     counts = {name: _keys(table[name]).nunique() for name in parameters}
     varied = [name for name in parameters if counts[name] > 1]
     if not varied:
@@ -552,7 +552,7 @@ def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None
     candidates = repeated or varied
     numeric_names = [name for name in candidates if numbers(table[name]) is not None]
     along = max(numeric_names or candidates, key=counts.__getitem__)
-    few = [name for name in varied if name != along and counts[name] <= _LINES]
+    few = [name for name in repeated if name != along and counts[name] <= _LINES]
     lines = max(few, key=counts.__getitem__, default="")
     return Axis(along, lines, joined=bool(repeated) or len(varied) == 1)
 

@@ -118,6 +118,10 @@ def test_the_axis_is_the_number_with_most_values():
     assert axes_of_study(frame, ["number"]) == Axis("number", "")
     frame["random"] = np.random.default_rng(0).random(len(frame))
     assert axes_of_study(frame, ["random", "number"]) == Axis("random", "", joined=False)
+    # few runs: a line for each seed would be a point
+    few = frame.head(6)
+    assert axes_of_study(few, ["friction", "sweeps", "number"]) == Axis("friction", "sweeps")
+    assert axes_of_study(few, ["random", "number"]) == Axis("random", "", joined=False)
     assert axes_of_study(frame, ["method"]) is None and axes_of_study(frame, []) is None
 
 
