@@ -553,11 +553,12 @@ def trusted(mesh: MeshArrays, sound: bool = True) -> MeshArrays:
     return result
 
 
-def swept(mesh: MeshArrays) -> MeshArrays:
-    """Return a sound mesh with its nodes sorted along the longest side of its bounding box, and its
-    elements by their first nodes. Gauss-Seidel takes a fifth more cycles in the order that
-    refinement leaves behind, where new nodes come last, and where bodies come one after the other."""
-    order, number, rows, elements = sweep(mesh.points, mesh.elements)
+def in_sweep_order(mesh: MeshArrays) -> MeshArrays:
+    """Return a sound mesh in the order in which Gauss-Seidel sweeps: nodes sorted along the longest side
+    of the bounding box, elements by their first nodes; no place changes. Gauss-Seidel takes a fifth
+    more cycles in the order that refinement leaves behind, where new nodes come last, and where
+    bodies come one after the other."""
+    order, number, rows, elements = sweep_order(mesh.points, mesh.elements)
     return sound_by_construction(
         replace(
             mesh,
@@ -569,7 +570,7 @@ def swept(mesh: MeshArrays) -> MeshArrays:
     )
 
 
-def sweep(
+def sweep_order(
     points: np.ndarray, elements: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the order (n,) of nodes along the longest side of their bounding box, the new numbers (n,)

@@ -24,9 +24,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, swept
+from adaptmg.mesh.arrays import MeshArrays, in_sweep_order
 from adaptmg.mesh.delaunay import Untriangulated
-from adaptmg.mesh.improve import EQUILATERAL, drafted
+from adaptmg.mesh.improve import EQUILATERAL, refined_draft
 from adaptmg.mesh.lattices import body_centred, boundaries_of, merged, of_one_body, per_body
 from adaptmg.mesh.netgen_guard import netgen
 from adaptmg.mesh.netgen_meshes import SolidSizes, built_shape, finished, plane_mesh, solid_mesh
@@ -156,7 +156,7 @@ def graded(
                 mesher=mesher,
                 size_function=size_function,
             )
-        return swept(merged(meshes))
+        return in_sweep_order(merged(meshes))
     size = checks.positive("size", size)
     ratio = _ratio(contact_ratio)
     if ratio > 1 and not names:
@@ -220,7 +220,7 @@ def _graded_body(
         )
         return sizes if size_function is None else np.minimum(sizes, sizes_at(size_function, x))
 
-    if mesher == "own" and (mesh := _own(domain, field)) is not None:
+    if mesher == "own" and (mesh := _mesh_without_netgen(domain, field)) is not None:
         return mesh
     if isinstance(domain, Box):
         return solid_mesh(domain, solid, "netgen")
@@ -230,15 +230,18 @@ def _graded_body(
     return plane_mesh(domain, field, size, near, names, grading, rounds)
 
 
-def _own(domain: Outline | Box, field: SizeField, growth: float | None = None) -> MeshArrays | None:
-    """Return the mesh of a plane domain or a box that is made without Netgen, None if that
-    fails."""
+def _mesh_without_netgen(
+    domain: Outline | Box, field: SizeField, growth: float | None = None
+) -> MeshArrays | None:
+    """Return the mesh of a plane domain or a box that this package makes without Netgen; None if it
+    fails, or does not have the sizes of the field."""
     try:
         if isinstance(domain, Box):
-            mesh = drafted(
+            mesh = refined_draft(
                 domain, _cells(domain, field), lambda mesh: _REFINED_TO * field(mesh.points)
             )
-            return swept(check_sizes(check_mesh(mesh), field))
+            # the order of nodes and elements changes after the checks, no place of a node
+            return in_sweep_order(check_sizes(check_mesh(mesh), field))
         mesh = finished(domain, triangulated(domain, field, growth))
         return check_sizes(check_rims(domain, mesh), field)
     except (Untriangulated, Unfit) as error:
@@ -329,7 +332,7 @@ def sized_by(
     if isinstance(shape, Assembly):
         fields = per_body("size_function", size_function, shape.bodies)
         limits = per_body("max_size", max_size, shape.bodies)
-        return swept(
+        return in_sweep_order(
             merged(
                 {
                     body: sized_by(part, fields[body], limits[body], grading, mesher, foreseen)
@@ -353,7 +356,7 @@ def sized_by(
             refuse_too_many(guessed_nodes(2, shape.area, largest), shape)
             if not foreseen:
                 _refuse_large_field(shape, limited, largest)
-        if (mesh := _own(shape, limited, grading)) is not None:
+        if (mesh := _mesh_without_netgen(shape, limited, grading)) is not None:
             return mesh
     if isinstance(shape, Box):
         return solid_mesh(shape, solid, "netgen")
@@ -364,7 +367,7 @@ def _refuse_large_field(domain: Outline, field: SizeField, largest: float) -> No
     """Raise ValueError if a size field asks for too many nodes: it is read on a coarse mesh, with a
     sixteenth of the extent, or the largest size, as edge length."""
     size = max(largest, float((domain.upper - domain.lower).max()) / 16)
-    coarse = _own(domain, lambda x: np.full(len(x), size))
+    coarse = _mesh_without_netgen(domain, lambda x: np.full(len(x), size))
     if coarse is not None:
         _, sizes = too_large(coarse, field)
         refuse_too_many(expected_nodes(coarse, sizes), domain)

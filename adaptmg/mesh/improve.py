@@ -1,9 +1,9 @@
-r"""Meshes refined and improved in arrays: ``drafted`` solids by a size field, and better shapes of
-any elements.
+r"""Meshes refined and improved in arrays: ``refined_draft`` makes meshes of solids by a size field,
+``improved`` better shapes of any elements.
 
-drafted: tetrahedra made of a coarse draft. Of a box the draft is cells as large as the field
-anywhere, of other solids Netgen's mesh with edges of k (near 2, 4 or 7) times the field f, which
-may then grow k times as fast. It takes
+refined_draft: tetrahedra made of a draft, which is a coarse mesh of the solid. Of a box the draft is
+cells as large as the field anywhere, of other solids Netgen's mesh with edges of k (near 2, 4 or 7)
+times the field f, which may then grow k times as fast. It takes
 :math:`k^{-3}` of the time that Netgen would take for the whole, and is the only part that is not nested in other
 meshes.
 
@@ -37,7 +37,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptmg._numba import inner_kernel, kernel
+from adaptmg._numba import ZERO, inner_kernel, kernel
 from adaptmg.mesh.arrays import (
     MeshArrays,
     by_first_occurrence,
@@ -71,7 +71,7 @@ KEPT = 0.25
 _BATCH = 100_000
 
 
-def drafted(
+def refined_draft(
     domain: Domain,
     draft: MeshArrays,
     field: Callable[[MeshArrays], np.ndarray],
@@ -206,7 +206,7 @@ def _move(
     measures = np.empty(np.diff(around[0]).max())
     for begin in range(0, len(points), _BATCH):
         _move_nodes(
-            (0.0,) * points.shape[1],
+            ZERO[points.shape[1]],
             points,
             elements,
             *around,
@@ -221,8 +221,7 @@ def _move(
 def _spokes(zero, points, cells, item, x, spokes):
     """Write the edges from x to the other corners of an element into ``spokes`` (dim, dim), as if
     x stood in place of its corner ``item`` (a place in ``cells``); returns their determinant: dim!
-    times the measure. With ``zero`` (dim numbers) kernels know the dimension when they are
-    compiled."""
+    times the measure. ``zero`` is ZERO[dim]."""
     k = len(zero) + 1
     e = item // k
     corner = item % k

@@ -35,13 +35,13 @@ from adaptmg.mesh.arrays import (
     Surface,
     edge_lengths,
     facet_table,
+    in_sweep_order,
     normalised,
     sound_by_construction,
-    swept,
     trusted,
 )
 from adaptmg.mesh.bisection import refined, with_refinement
-from adaptmg.mesh.improve import drafted, improved, mean_ratios
+from adaptmg.mesh.improve import improved, mean_ratios, refined_draft
 from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, NetgenUnfinished, limit_s, netgen, read_s
 from adaptmg.mesh.projection import onto_domain
 from adaptmg.mesh.sizes import (
@@ -255,7 +255,7 @@ def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
 def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     """Return the mesh with the names of the domain's boundaries in place of edge numbers,
     checked."""
-    mesh = swept(check_mesh(mesh))
+    mesh = in_sweep_order(check_mesh(mesh))
     names = tuple(dict.fromkeys(domain.boundaries))
     labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
     # other names leave a mesh sound
@@ -421,7 +421,7 @@ def solid_mesh(domain: SolidDomain | Box, sizes: SolidSizes, mesher: str = "own"
         )
     named = replace(mesh, facet_labels=labels, boundaries=order)
     named = trusted(named, mesh.sound)  # other names make no sound mesh unsound
-    return swept(named)  # sweeps smooth better in an order along the body
+    return in_sweep_order(named)  # sweeps smooth better in an order along the body
 
 
 def _at_rest(
@@ -636,7 +636,9 @@ def _refined(
         mesh = _placed(unit, shape)
         return sizes.field(mesh.points, mesh, faces) / shape.scale
 
-    return drafted(domain, draft, field, lambda mesh, n_old: onto_surfaces(surfaces, mesh, n_old))
+    return refined_draft(
+        domain, draft, field, lambda mesh, n_old: onto_surfaces(surfaces, mesh, n_old)
+    )
 
 
 def _flat_ones(mesh: MeshArrays) -> np.ndarray:

@@ -45,7 +45,7 @@ MAX_BISECTIONS = 30
 # smaller than 1 / sqrt(2)
 TOO_LARGE = math.sqrt(2)
 # edges are at most this many times the field, but for a share of them: triangulations have none
-# (348 of random outlines), drafted solids up to .5 % and Netgen's up to 40 % before they are cut
+# (348 of random outlines), refined drafts of solids up to .5 % and Netgen's up to 40 % before they are cut
 _LONG, _FEW = 2.0, 0.01
 # sagitta over the chord: .08 at the 35 degrees that meshers take at most, .125 at 56; measured, half
 # refuses 6 of 160 meshes of random outlines, twice none

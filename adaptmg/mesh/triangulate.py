@@ -26,7 +26,7 @@ from adaptmg.mesh.arrays import (
     centroids,
     places_of,
     signed_measures,
-    sweep,
+    sweep_order,
     trusted,
 )
 from adaptmg.mesh.delaunay import BATCH, Untriangulated, insert, of_boundary, walk
@@ -113,7 +113,7 @@ def triangulated(
     )
     # nodes and triangles that are near each other stand near each other in memory: moves and swaps
     # of 80 000 nodes take .7 of the time that they take in the order of insertion
-    order, number, rows, elements = sweep(points, elements)
+    order, number, rows, elements = sweep_order(points, elements)
     # new numbers of triangles by the old ones, and at the end -1 for -1, no neighbour
     new_rows = places_of(rows, len(rows) + 1, np.int32)
     points = points[order]

@@ -12,7 +12,7 @@ from bisected_meshes import edge_lengths
 from refused import refused
 
 import adaptmg as am
-from adaptmg.mesh.arrays import swept
+from adaptmg.mesh.arrays import in_sweep_order
 from adaptmg.mesh.sizes import distance_to_boundaries
 
 UPPER = am.Rectangle(width=1.0, height=0.5)
@@ -134,7 +134,7 @@ def test_each_body_is_meshed_apart_and_without_contact_alone():
         and mesh.bodies == TWO.bodies
         and mesh.source.nv == mesh.n_nodes
     )
-    alone = swept(
+    alone = in_sweep_order(
         am.mesh.merged(
             {
                 "upper": am.mesh.graded(UPPER, 0.2, "bottom", 4),
