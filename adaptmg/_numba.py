@@ -31,6 +31,10 @@ from adaptmg._text import say
 
 _LOG = logging.getLogger(__name__)
 
+#: by dimension: what kernels take as ``zero``, a tuple of as many zeros. Its length is part of its type: numba compiles
+#: a kernel for each dimension, with loops of fixed length and without the branches of other dimensions
+ZERO = {1: (0.0,), 2: (0.0, 0.0), 3: (0.0, 0.0, 0.0)}
+
 
 def kernel(function: Callable | None = None, **options: Any) -> Any:
     """Compile a function that Python calls; ``options`` are those of ``numba.njit``. Division by

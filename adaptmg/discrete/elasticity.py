@@ -44,7 +44,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
-from adaptmg._numba import inner_kernel, kernel, prefetch, read_only
+from adaptmg._numba import ZERO, inner_kernel, kernel, prefetch, read_only
 from adaptmg._threads import in_parts, one_blas_thread
 from adaptmg.discrete.moduli import (
     Materials,
@@ -143,16 +143,17 @@ def stiffness(
     of_nodes = patches_of_nodes(patches.start, patches.nodes, mesh.n_nodes)
     indptr, indices = pattern(of_nodes, patches.start, patches.nodes)
     data = np.empty((len(indices), dim, dim))
-    # lambda = C_xxyy and mu = C_xyxy of isotropic bodies, whose tensors come first. Their assembly takes
-    # .75 of the time of others in space (36k nodes), .80 in the plane (66k). NaN where the sum over all
-    # entries of C is taken: of other tensors, and with hoop strains
+    # lambda = C_xxyy and mu = C_xyxy of isotropic tensors, whose sums take .75 of the time of others in
+    # space (36k nodes), .80 in the plane (66k). The table begins with an isotropic tensor for each body
+    # (an anisotropic one does not use it); those of anisotropic bodies and tangents follow. NaN where the
+    # sum over all entries of C is taken: of the latter, and, with hoop strains, of all
     lame_constants = table[:, [_XX, _XY], [_YY, _XY]]
     lame_constants[0 if axisymmetric else len(materials) :] = np.nan
     in_parts(
         _add_patches,
         mesh.n_nodes,
         data.size,
-        (0.0,) * dim,
+        ZERO[dim],
         of_nodes.indptr,
         of_nodes.indices,
         patches.start,
@@ -168,7 +169,7 @@ def stiffness(
         indices,
         data,
     )
-    in_parts(_mirror, mesh.n_nodes, data.size, (0.0,) * dim, indptr, indices, data)
+    in_parts(_mirror, mesh.n_nodes, data.size, ZERO[dim], indptr, indices, data)
     return _matrix(data, indices, indptr)
 
 
@@ -375,7 +376,7 @@ def shape_gradients(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
             _shape_gradients,
             n,
             slopes.size,
-            (0.0,) * mesh.dim,
+            ZERO[mesh.dim],
             mesh.points,
             mesh.elements,
             slopes,
@@ -481,8 +482,7 @@ def _find_neighbours(first, last, start, patches, begin, nodes, counts):
 @kernel
 def _shape_gradients(first, last, zero, points, elements, slopes, measures):
     """Write the gradients of the shape functions of elements, and their volumes. Returns a bad one,
-    or -1. ``zero`` (dim,) is a tuple, so that loops over components are compiled for their
-    length."""
+    or -1."""
     dim = len(zero)
     edges = np.empty((len(zero), len(zero)))
     normals = np.empty((len(zero), len(zero)))

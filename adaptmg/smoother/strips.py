@@ -18,7 +18,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order
 
 from adaptmg import _threads as threads
-from adaptmg._numba import kernel, read_only
+from adaptmg._numba import ZERO, kernel, read_only
 
 #: the least number of strips that pays
 FEWEST = 4
@@ -28,7 +28,7 @@ def product(matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
     """Return A v (n,), summed as scipy does."""
     arrays = map(read_only, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)))
     result = np.empty(matrix.shape[0])
-    zero = (0.0,) * matrix.blocksize[0]
+    zero = ZERO[matrix.blocksize[0]]
     threads.in_parts(
         _multiply, len(matrix.indptr) - 1, matrix.data.size, zero, *arrays, vector, result
     )
