@@ -492,6 +492,7 @@ class AdaptiveLoop:
         on from mesh to mesh."""
         parts = self.parts
         solver = parts.solver or FullMultigrid(rtol=RTOL if parts.rtol is None else parts.rtol)
+        # a first mesh has one level, which multigrid cannot use: solve_path then chooses the method
         solver = solver if _applies(solver, hierarchy) else None
         rtol = parts.rtol if solver is None else None
         start = None

@@ -187,8 +187,13 @@ class _Newton:
         self.state = loop.state
         solver: Any = loop.solver
         correction = getattr(solver, "correction", None)
-        smoothed = len(self.plastic.groups) > 0
-        if smoothed and isinstance(correction, Truncated) and correction.correct is None:
+        # only smoothed elements have groups of nodes. Their tangents need the better coarse solves of
+        # _SMOOTHED; a coarse solver that the user gave stays
+        if (
+            len(self.plastic.groups)
+            and isinstance(correction, Truncated)
+            and correction.correct is None
+        ):
             solver = replace(solver, correction=replace(correction, correct=_SMOOTHED))
         self.solver: Solver = solver
         self.grids = grids

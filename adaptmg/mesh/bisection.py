@@ -20,8 +20,9 @@ plane one are flagged. From any tetrahedron this makes a bounded number of simil
 First labels: the longest edge goes first, of a face as of an element; among edges of one length
 that with the highest node numbers. This is one order of all edges of a mesh.
 
-Elements are rows of 32 bit integers: corners, the boundary facet opposite each (-1: none), marks,
-generation, origin. Halved edges are found through lists, one for each node: ``nodes[i, HEAD]`` is
+Elements are rows of 32 bit integers: corners, the boundary facet opposite each (-1: none), marks
+(of both faces, and the flag), generation (bisections since the initial mesh), origin (the element
+of the mesh before). Halved edges are found through lists, one for each node: ``nodes[i, HEAD]`` is
 the first node that halves an edge from i to a lower number, ``nodes[p, NEXT]`` the next one."""
 
 from __future__ import annotations
@@ -48,21 +49,25 @@ from adaptmg.mesh.soundness import check_mesh
 
 __all__ = ["bisect", "check_marked", "refine_near"]
 
-# marks of an element are 3 times that of the face (1, 2, 3) plus that of (0, 2, 3), below 9; this is
-# added where the element is flagged
+# the column of marks: 3 times the mark of the face (1, 2, 3), plus that of (0, 2, 3), each of which is
+# 0, 1 or 2; and _FLAG where the element is flagged. Flagged elements whose marks lie in one plane are
+# type P_f of Arnold, Mukherjee and Pouly, unflagged ones P_u
 _FLAG = 9
 # columns of the nodes: first and next of the list of edges, and both ends of the edge that a node
 # halves
 _HEAD, _NEXT, _LOW, _HIGH = range(4)
-#: by number of corners and of the child, and by the mark that becomes its first edge: the order of its corners; p has
-#: the place of corner 1 in the first child and of corner 0 in the second
+#: by number of corners and of the child, and by the mark of the face that it inherits: which corners of the parent
+#: become its corners 0, 1, ... The marked edge comes first, since the edge of corners 0 and 1 is halved next. p stands
+#: in place of corner 1 of the parent in child 0, of corner 0 in child 1, and is the last corner of both
 _ORDERS = {
     3: np.array([[[2, 0, 1]], [[1, 2, 0]]]),
     4: np.array(
         [[[0, 2, 3, 1], [3, 0, 2, 1], [2, 3, 0, 1]], [[2, 1, 3, 0], [1, 3, 2, 0], [3, 2, 1, 0]]]
     ),
 }
-#: the same for what the mark of the new face, from p to the next edge, adds to the marks
+#: by child and mark as above, for children of an element of type P_f: what is added to the marks so that the mark of
+#: the new face is the edge from p to its other end on the next edge to be halved. That edge goes to corner 3, code 1:
+#: 3 where the new face is the face (1, 2, 3) of the child, 1 where it is (0, 2, 3). Marks 2 are in no plane
 _NEW_MARK = np.array([[3, 1, 0], [1, 3, 0]])
 #: by number of corners: pairs of them, and for each as the longest edge an even order of the corners beginning with it
 _PAIRS = {
@@ -398,7 +403,8 @@ def _has_halved_edge(cells, e, corners, nodes):
 
 @inner_kernel
 def _write_children(cells, e, n, corners, p, orders, new_mark, old):
-    """Bisect element e at node p, the middle of its corners 0 and 1; ``old`` is scratch.
+    """Bisect element e at node p, the middle of its corners 0 and 1; ``old`` is scratch for its row,
+    whose columns the module names, ``orders`` and ``new_mark`` are the tables above.
 
     Child 0 goes to row e, with p in place of corner 1; child 1 to row n, with p in place of corner
     0. The face between them lies opposite corner 0 in the first, corner 1 in the other. Child 0
@@ -419,9 +425,12 @@ def _write_children(cells, e, n, corners, p, orders, new_mark, old):
             k = orders[child, mark, j]
             cells[row, j] = p if k == 1 - child else old[k]
             cells[row, corners + j] = -1 if k == child else old[corners + k]
-        # both marks of the child, whose corner 3 is p: code 0, to corner 2, is the edge opposite p in
-        # a cut face, and in the new face too, unless that has the edge from p to the first edge
+        # the marks of the child (algorithm BisectTet of Arnold, Mukherjee and Pouly). Its faces (1, 2,
+        # 3) and (0, 2, 3) are a half of a cut face and the new face; its corner 3 is p. Code 0 marks in
+        # both the edge to corner 2, which lies opposite p. Only where the parent has type P_f the new
+        # face is marked from p to the edge of corners 0 and 1, which is halved next
         marked = new_mark[child, mark] if plane and flagged else 0
+        # children of type P_u are flagged
         cells[row, 2 * corners] = marked + (_FLAG if plane and not flagged else 0)
         # generation and origin
         cells[row, 2 * corners + 1] = old[2 * corners + 1] + 1

@@ -137,7 +137,11 @@ def _cut_middles(
     closed: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
     """Return the tables with a new node in the middle of ``closed`` facets, which cuts them and the
-    elements on both sides in dim parts; a facet stays closed if one before it shares its element."""
+    elements on both sides in dim parts.
+
+    A facet is closed if all its nodes are at tips of the slit, where nodes stay single: its two sides
+    share them. The new node is not at a tip: :func:`opened` doubles it. Of closed facets of the same
+    element only the first is cut; the others wait for the next round."""
     table = facet_table(elements, len(points))
     row = table.find(facet_keys(faces[closed], len(points)))
     # the two elements (n, 2) at each facet; an element is cut by the first facet that names it

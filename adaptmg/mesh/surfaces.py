@@ -219,8 +219,9 @@ def in_space(points: np.ndarray) -> np.ndarray:
 
 
 def surface_through(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
-    """Return the surface with some points (n, 3) and unit normals there, None if it is of none of
-    the five kinds."""
+    """Return the plane, sphere, cylinder, cone or torus (the latter two by :func:`_turned`) with some
+    points (n, 3) and unit normals there, None if there is none. Lengths are in units of the extent of
+    the solid, of which checks.ALIKE is a part."""
     if not (np.isfinite(points).all() and np.isfinite(normals).all()):
         return None
     centre = points.mean(axis=0)

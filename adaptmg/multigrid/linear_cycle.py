@@ -325,6 +325,7 @@ class CoarseFactors:
         scale = level.diagonal_sizes
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
         self.forget()
+        # tells by one solve which dofs the matrix determines, see renew
         self._probe_load = self._scale * np.random.default_rng(0).standard_normal(level.n_dofs)
         # Any: made by renew before it is read
         self._solve: Callable[[np.ndarray], np.ndarray] | Any = None
@@ -345,8 +346,9 @@ class CoarseFactors:
             )
             return
         self._solve = self._factors(self._shift)
-        # a random load of the size of the diagonal moves a dof by about 1, or by 1 / rounding and more
-        # where nothing but rounding determines it
+        # the probe, a random load of the size of the diagonal, has a part along every motion that the
+        # matrix leaves free. It moves a dof by about 1, or by 1 / rounding and more (infinite, NaN) where
+        # nothing but rounding determines it
         undetermined = ~(np.abs(self._solve(self._probe_load)) < 1 / checks.ROUNDING)
         if undetermined.any():
             self._shift = np.where(undetermined, checks.SIX_DIGITS * self._scale, self._shift)

@@ -236,7 +236,8 @@ def _move_master(
     residual,
 ):
     """Move a master by d, and the relative displacements of its followers j by -w_j d, so that these
-    stay where they are: with D, 1 at the master and -w_j at each follower, the energy is least for
+    stay where they are. A weight w_j has a number for each component, 0 along those that a support
+    fixes at the follower. With D, 1 at the master and -w_j at each follower, the energy is least for
     d = (D'AD)^-1 D'r, of which the inverse is ``master_inverse``.
 
     It is done only if all followers are open before and after it, and have no Tresca limit, which

@@ -75,7 +75,8 @@ _MISSING, _SETTLED, _CALM = 0.3, 0.7, 0.1
 #: least steps
 _LEAST = 3
 #: times the number of steps: the multiple of the negligible error up to which no further step is taken: .6 of rtol
-#: after the second step, .9 after the third (seen at most 1.46 and 1.09 times too small)
+#: after the second step, .9 after the third (seen at most 1.46 and 1.09 times too small). After the first step the
+#: energy may still be far too small. Energies are squares: their multiples are 6^2 and 9^2
 #: half changes 0 of 119 solves, paths and loops, twice 3; cycles 691, 691, 694 (campaign constants)
 _SURER = 3.0
 #: steps at most, without and with Coulomb friction, which needs all directions, and with volumes
@@ -261,16 +262,18 @@ def correction(
     negligible: float,
     rounding: float,
 ) -> HeldCorrection:
-    """Return the correction in the space of a status for a residual (n_nodes, dim), which is
-    overwritten, and the volumes ``missed`` (n_groups,).
+    """Return the correction in the space of a status for a residual e (n_nodes, dim), which is
+    overwritten, and ``missed`` (n_groups,), b v - p/kappa of the module.
 
-    An energy of at most 36 times ``negligible`` after the second step, or 81 times after the third,
-    needs no further step; after the first step an energy may still be far too small. A residual
-    whose norm is at most ``rounding`` loads no motion. Without ``aggregates``, or where the steps do
-    not settle, the equations are factorised."""
+    It is the estimate of a few steps if these settle. Otherwise, and without ``aggregates``, the
+    equations are factorised; but above FACTORISED dofs the estimate is returned although it has not
+    settled. No further step is taken for an energy that is small compared with ``negligible``, the
+    energy (N m) of the negligible error (_SURER). A residual whose norm is at most ``rounding`` loads
+    no motion."""
     status.project(residual)
     load = residual.reshape(-1)
     if len(problem.volumes):
+        # -A (b v - p/kappa)
         load = np.append(load, -problem.volumes.areas * missed)
     size = load @ load
     if not 0.0 < size < np.inf:

@@ -247,8 +247,10 @@ class Quantities:
         """Return the half-widths (dim,) of the surfaces in contact along x, y (and z), m; 0 without
         contact.
 
-        Half the sides of the box around them, in axisymmetry first their outer radius, of a ring
-        half its width; half a (symmetric) model has half of its half. They end halfway between a
+        They are half the sides of the box around these surfaces. In axisymmetry the first one is the
+        outer radius where contact reaches the axis, else half the width of the ring. If the model is one
+        half of a symmetric body, the half of the contact that it has counts, so that a half-width across
+        the plane of symmetry is half the true one. Surfaces in contact end halfway between a
         node in contact and an open one, and are accurate to about half an edge at each end: on Hertz's
         cylinder with 8 to 24 edges in the half-width they are .4 to .6 of an edge too large. Where
         contact of smooth surfaces ends, the square of the pressure falls in proportion to the

@@ -178,7 +178,8 @@ class L2(_Projection):
         centre = coarse.points.mean(axis=0)
         # coordinate functions, projected to rounding: what the rows must reproduce after dropping
         affine = np.column_stack([np.ones(coarse.n_nodes), coarse.points - centre])
-        moments = _chebyshev(mass, rhs @ affine, fine.dim, 1e-16, 0.0)
+        moments = _chebyshev(mass, rhs @ affine, fine.dim, tolerance=1e-16, drop=0.0)
+        # column 0 is the projection of 1, as the row sums of B are those of M: 1 up to rounding
         moments[:, 1:] -= (fine.points - centre) * moments[:, :1]
         moments /= moments[:, :1]
         # iterates lose entries below a hundredth of what is dropped from the rows in the end
@@ -188,7 +189,8 @@ class L2(_Projection):
         result, reached = interpolation.clipped_rows(
             rows, coarse, fine, tolerance=_DROP, moments=moments
         )
-        # rows that cannot have their moments any more are replaced by those of the local projection
+        # rows that cannot have their moments any more are replaced by those of the local projection;
+        # with_contact_rows replaces rows of any nodes
         missed = np.flatnonzero(~reached)
         return (
             with_contact_rows(result, missed, PseudoL2()._rows(integrals)[missed])
