@@ -205,7 +205,11 @@ class ContactNodes:
 
     @property
     def measures(self) -> np.ndarray:
-        """Return the weights (n,) with what contact nodes take over."""
+        """Return the boundary measures w_j (1 + sum_i V_ji) (n,) of contact nodes j and the nodes i of
+        which they take over the shares V (``taken_over``), with the weights w.
+
+        The condition of such a node is a sum: its gap is g_j + sum_i V_ji g_i, so that ``measures /
+        weights`` is the sum over the mean."""
         return self.weights * (1 + self.taken_over.sum(axis=1))
 
 

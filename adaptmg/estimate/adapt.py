@@ -179,7 +179,7 @@ def adapt(
             "a ScalarProblem takes no load_path, and as indicator am.Residual() or a user-defined one"
         )
     first = _first_hierarchy(problem, start, transfer, engine, limits)
-    steps = None
+    step_store = None
     if store is not None:
         options = {
             "indicator": parts.indicator,
@@ -193,10 +193,11 @@ def adapt(
             "remesh_every": parts.remesh_every,
         }
         head = {"fingerprint": loop_fingerprint(first, options, load_path, depends)}
-        steps = StepStore.resumed(store, "loop.json", head, LOOP_KINDS)
+        step_store = StepStore.resumed(store, "loop.json", head, LOOP_KINDS)
     report = _write_line if progress is True else progress or None
     return cast(
-        "Iterator[Step[AnyEstimate]]", AdaptiveLoop(first, parts, limits, steps, report).steps()
+        "Iterator[Step[AnyEstimate]]",
+        AdaptiveLoop(first, parts, limits, step_store, report).steps(),
     )
 
 
@@ -334,12 +335,12 @@ def _hierarchy_of_size(
     contact_refinement = 1.0  # size in the bodies over that at contact
     if size is None:
         extent = (sum(volumes) / len(volumes)) ** (1 / dim)
-        size = float(f"{extent / _ACROSS[dim]:.2g}")
+        size = float(f"{extent / _ACROSS[dim]:.2g}")  # two digits are read easily in messages
         shortest = min(
             (lengths[name] for name in problem.pair_boundaries if name in lengths), default=math.inf
         )
         contact_refinement = max(contact_refinement, _ALONG * size / shortest)
-    # the mesh has about c |bodies| / size^dim nodes
+    # the mesh has about c |bodies| / size^dim nodes, infinitely many where a tiny size overflows
     nodes_times_cell = NODES_PER_CELL[dim] * sum(volumes)
     max_nodes = limits.max_nodes
     with np.errstate(over="ignore", divide="ignore"):

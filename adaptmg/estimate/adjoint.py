@@ -60,10 +60,10 @@ class LinearisedContact:
     slip: np.ndarray  # (n, dim - 1), m
     fixed_limit: np.ndarray  # (n,): part of the limit that does not depend on the pressure, N
     #: (n,) bool: nodes with friction at its limit, open ones of Tresca's law included
-    slips: np.ndarray
-    sticks: np.ndarray  # (n,) bool
-    unit: np.ndarray  # (n, dim - 1): f at slipping nodes
-    direction: np.ndarray  # (n, dim - 1): mu f at nodes that slip and touch, else 0
+    is_slipping: np.ndarray
+    is_sticking: np.ndarray  # (n,) bool
+    friction_direction: np.ndarray  # (n, dim - 1): f at slipping nodes
+    friction_by_pressure: np.ndarray  # (n, dim - 1): mu f at nodes that slip and touch, else 0
     hessian: np.ndarray  # (n, dim - 1, dim - 1): H of slipping nodes, N/m
     free: np.ndarray  # (n, dim) bool: components in which an error may move
     held: np.ndarray  # (n, dim - 1) bool: tangents that a support holds
@@ -86,7 +86,9 @@ class LinearisedContact:
         """Return the forces (n_dofs,) of the friction that does not depend on pressure, in local
         components, N."""
         forces = np.zeros((self.discrete.n_nodes, self.discrete.dim))
-        forces[self.nodes, 1:] = np.where(self.slips, self.fixed_limit, 0.0)[:, None] * self.unit
+        forces[self.nodes, 1:] = (
+            np.where(self.is_slipping, self.fixed_limit, 0.0)[:, None] * self.friction_direction
+        )
         return forces.reshape(-1)
 
 
@@ -113,20 +115,24 @@ def linearised_contact(
     force[:, 1:][held] = 0.0
     slip_length = np.linalg.norm(slip, axis=1)
     at_rest = slip_length <= checks.ROUNDING * np.abs(unknowns).max(initial=0.0)
-    sticks, slips = _friction_states(state, nodal.limit > 0, at_rest)
-    # friction g f of the limit g = limit + mu |pressure| in the direction f = -s/|s| (``unit``) against
-    # the slip s: its derivative by the pressure is mu f (``direction``)
-    unit = _opposite(slip, slip_length, force[:, 1:])
-    direction = np.where((state == State.SLIP)[:, None], nodal.friction[:, None] * unit, 0.0)
+    is_sticking, is_slipping = _friction_states(state, nodal.limit > 0, at_rest)
+    # friction g f of the limit g = limit + mu |pressure| in the direction f = -s/|s| against the slip s:
+    # its derivative by the pressure is mu f
+    friction_direction = _opposite(slip, slip_length, force[:, 1:])
+    friction_by_pressure = np.where(
+        (state == State.SLIP)[:, None], nodal.friction[:, None] * friction_direction, 0.0
+    )
     # and that by the slip is -H, H = g/|s| (I - f f')
     limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
-    moves = slips & (slip_length > 0)
+    moves = is_slipping & (slip_length > 0)
     stiffness = np.where(moves, limit / np.where(moves, slip_length, 1.0), 0.0)
-    hessian = stiffness[:, None, None] * (np.eye(dim - 1) - unit[:, :, None] * unit[:, None, :])
+    hessian = stiffness[:, None, None] * (
+        np.eye(dim - 1) - friction_direction[:, :, None] * friction_direction[:, None, :]
+    )
     # an error may change neither the gap where bodies touch nor the slip where they stick
     free = np.ones((len(nodes), dim), dtype=bool)
     free[state != State.OPEN, 0] = False
-    free[:, 1:] = ~held & ~sticks[:, None]
+    free[:, 1:] = ~held & ~is_sticking[:, None]
     return LinearisedContact(
         discrete=discrete,
         frames=frames,
@@ -136,10 +142,10 @@ def linearised_contact(
         gap=gap,
         slip=slip,
         fixed_limit=nodal.limit,
-        slips=slips,
-        sticks=sticks,
-        unit=unit,
-        direction=direction,
+        is_slipping=is_slipping,
+        is_sticking=is_sticking,
+        friction_direction=friction_direction,
+        friction_by_pressure=friction_by_pressure,
         hessian=hessian,
         free=free,
         held=held,
@@ -206,7 +212,7 @@ class AdjointSystem:
                     field=self._field(y),
                     residual=residual,
                     iterations=0,
-                    converged=residual <= 1e-6,
+                    converged=residual <= 1e-6,  # else the matrix is singular to rounding
                 )
             )
         return result
@@ -243,7 +249,7 @@ class AdjointSystem:
                     rtol=tolerance,
                     atol=0.0,
                     restart=min(max_iterations, 30),
-                    maxiter=max(1, max_iterations // 30),
+                    maxiter=max(1, max_iterations // 30),  # restarts
                     M=preconditioner,
                     callback=norms.append,
                     callback_type="pr_norm",
@@ -304,11 +310,11 @@ def error_spaces(
     trial[at[~contact.free]] = False
     # T: ones on the diagonal and, at tangents that slip, mu f in the row of the normal
     free_dofs = np.flatnonzero(trial)
-    node, tangent = np.nonzero(contact.direction)
+    node, tangent = np.nonzero(contact.friction_by_pressure)
     moves = trial[at[node, 1 + tangent]]
     node = node[moves]
     tangent = tangent[moves]
-    entries = np.concatenate([np.ones(len(free_dofs)), contact.direction[node, tangent]])
+    entries = np.concatenate([np.ones(len(free_dofs)), contact.friction_by_pressure[node, tangent]])
     rows = np.concatenate([free_dofs, at[node, 0]])
     columns = np.concatenate([free_dofs, at[node, 1 + tangent]])
     test = sparse.csr_array((entries, (rows, columns)), shape=(n, n))

@@ -216,6 +216,7 @@ class Bisect:
         count = len(order)
         added = _ADDED[mesh.dim] * count  # expected
         for _ in range(_TRIES if allowed > 0 else 0):
+            # added ~ count^_POWER
             aim = count * (_AIM * allowed / added) ** (1 / _POWER)
             count = int(min(max(aim, fits + 1), exceeds - 1))
             chosen = mask_of(order[:count], len(marked))
@@ -440,6 +441,7 @@ def equilibrated_sizes(
         """Return the logarithm of the number of nodes over that asked for."""
         return math.log(count(sizes(log_c)) / n_nodes)
 
+    # with these constants all sizes are at their lower, or all at their upper bound
     low = math.log(_FINEST_SIZE / factors.max())
     high = math.log(_COARSEST_SIZE / factors.min())
     if excess(low) <= 0.0:

@@ -560,15 +560,15 @@ def _divergence(stress: ElementStress, rule: np.ndarray) -> np.ndarray:
     u_r."""
     mesh = stress.mesh
     slope = displacement_gradient(mesh, stress.displacement)[:, 0, :, None]
-    rise = stress.rise(slice(None), mesh.elements, rule)  # e - e_c
+    variation = stress.hoop_variation(slice(None), mesh.elements, rule)  # e - e_c
     rr, _, tt, rz = stress.values.T[:, :, None]
     c_rr, c_zz, c_tt, c_rz = stress.of_hoop.T[:, :, None]
     r = mesh.points[mesh.elements, 0] @ rule.T
     # r d_r e and r d_z e
-    along_r = slope[:, 0] - stress.hoop[:, None] - rise
+    along_r = slope[:, 0] - stress.hoop[:, None] - variation
     along_z = slope[:, 1]
-    radial = c_rr * along_r + c_rz * along_z + rr - tt + (c_rr - c_tt) * rise
-    axial = c_rz * (along_r + rise) + c_zz * along_z + rz
+    radial = c_rr * along_r + c_rz * along_z + rr - tt + (c_rr - c_tt) * variation
+    axial = c_rz * (along_r + variation) + c_zz * along_z + rz
     return np.stack([radial / r, axial / r], axis=2)
 
 
@@ -618,7 +618,8 @@ def recovered_energy(stress: ElementStress, cells: np.ndarray, nodal: np.ndarray
     difference = rule @ nodal[cells] - stress.values[:, None]
     if stress.axisymmetric:
         difference -= (
-            stress.rise(slice(None), mesh.elements, rule)[:, :, None] * stress.of_hoop[:, None]
+            stress.hoop_variation(slice(None), mesh.elements, rule)[:, :, None]
+            * stress.of_hoop[:, None]
         )
     plane = mesh.dim == 2 and not stress.axisymmetric
     return np.einsum("eq,eq->e", weights, stress.compliances.work(difference, difference, plane))

@@ -280,10 +280,12 @@ class HalvedError:
         matrix = sparse.csr_array(self.test @ matrix[:, new])
         diagonal = matrix.diagonal()
         self.diagonal_error = load / diagonal
-        inner = LinearOperator(matrix.shape, lambda x: x.reshape(-1) / diagonal, dtype=np.float64)
-        # scipy tests the preconditioned residual
+        preconditioner = LinearOperator(
+            matrix.shape, lambda x: x.reshape(-1) / diagonal, dtype=np.float64
+        )
+        # scipy tests the residual over the diagonal; restarts are counted in ``maxiter``
         self.error, failed = gmres(
-            matrix, load, rtol=_RTOL, atol=0.0, restart=_STEPS, maxiter=3, M=inner
+            matrix, load, rtol=_RTOL, atol=0.0, restart=_STEPS, maxiter=3, M=preconditioner
         )
         if failed:
             _LOG.info("the equations of %d new unknowns were not solved to %.0e", len(new), _RTOL)
@@ -327,6 +329,7 @@ class HalvedError:
         facet of size h the node has a weight ~ h^(d - 1) in a mean, and the error is ~ h^(d + 1)."""
         dim = self.view.mesh.dim
         weights = np.linalg.norm(finer.vector.reshape(-1, dim), axis=1)
+        # with h ~ weight^(1 / (d - 1))
         errors = weights ** ((dim + 1) / (dim - 1))
         errors[: self.view.mesh.n_nodes] = 0.0
         return errors / max(float(errors.sum()), np.finfo(float).tiny)
@@ -352,11 +355,12 @@ def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) ->
     """
     contact = view.contact
     discrete = view.discrete
-    dual_reaction = contact.local(discrete.matrix @ dual.field - functional.vector)
-    reaction = dual_reaction.reshape(-1, discrete.dim)[contact.nodes]
-    part = -float(dual.field @ np.where(discrete.fixed, 0.0, contact.residual))
-    part += float(contact.fixed_friction @ contact.local(dual.field))
+    multiplier = contact.local(discrete.matrix @ dual.field - functional.vector)  # lambda*
+    multiplier = multiplier.reshape(-1, discrete.dim)[contact.nodes]
+    error = -float(dual.field @ np.where(discrete.fixed, 0.0, contact.residual))
+    error += float(contact.fixed_friction @ contact.local(dual.field))
     touches = (contact.state != State.OPEN) & np.isfinite(contact.gap)
-    sticks = contact.sticks[:, None] & ~contact.held
-    part -= float(np.sum(np.where(touches, reaction[:, 0] * contact.gap, 0.0)))
-    return part + float(np.sum(np.where(sticks, reaction[:, 1:] * contact.slip, 0.0)))
+    sticks = contact.is_sticking[:, None] & ~contact.held
+    # - lambda* . delta, with delta the gap along the normal and minus the slip along tangents
+    error -= float(np.sum(np.where(touches, multiplier[:, 0] * contact.gap, 0.0)))
+    return error + float(np.sum(np.where(sticks, multiplier[:, 1:] * contact.slip, 0.0)))

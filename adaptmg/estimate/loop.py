@@ -313,7 +313,7 @@ class AdaptiveLoop:
         self.clock.timings |= start.timings
         self.done: list[Step] = []
         self.steering: Estimate | None = None
-        self.said: set[str] = set()  # kinds of warnings, each given once in the loop
+        self.warned_kinds: set[str] = set()  # each kind of warning is given once in the loop
 
     def steps(self) -> Iterator[Step]:
         """Yield the steps, those of the store first, until a limit is reached."""
@@ -325,24 +325,25 @@ class AdaptiveLoop:
             yield self._solve(self.first, start=None)
         while True:
             last = self.done[-1]
-            limit = self._reached(last)
-            reason = self._ended(last)
+            # why the mesh stays, and why the loop ends; both empty as long as neither is the case
+            why_same_mesh = self._reached(last)
+            outcome = self._ended(last)
             mesh = None
-            if not (reason or limit):
-                mesh, limit = self._refine(last)
-            # along a path the loop goes on, on the same mesh, where no finer one is needed or possible
+            if not (outcome or why_same_mesh):
+                mesh, why_same_mesh = self._refine(last)
+            # without remeshing along a path a loop ends where its mesh stays; with it the path goes on there
             if self.parts.remesh_every is None:
-                reason = limit or reason
-            if reason:
+                outcome = why_same_mesh or outcome
+            if outcome:
                 # the step was yielded before it was known that it is the last one
-                object.__setattr__(last, "outcome", reason)
+                object.__setattr__(last, "outcome", outcome)
                 if self.first.problem.contact and not last.result.displacement.any():
                     warn_user(
                         f"the displacement is zero on the last mesh, of {last.nodes} nodes, and so is the "
                         "estimate: nothing acts there. An obstacle that lies between two nodes of a contact "
                         "boundary is not seen: take a smaller start"
                     )
-                _LOG.debug("the adaptive loop ends: %s", reason)
+                _LOG.debug("the adaptive loop ends: %s", outcome)
                 return
             if mesh is None:
                 yield self._solve(last.hierarchy, last.result)
@@ -398,7 +399,8 @@ class AdaptiveLoop:
         with self.clock.phase("mesh"):
             mesh = need_mesh(last.hierarchy.finest)
             estimate = self._steering(last)
-            if _is_exact(estimate):  # of a goal: all elements alike
+            # of a goal, whose squares are rounding: refine all elements alike
+            if _is_exact(estimate):
                 estimate = replace(estimate, squares=np.ones_like(estimate.squares))
             marked = marks_of(self.parts.mark, estimate)
             if not marked.any():
@@ -417,7 +419,7 @@ class AdaptiveLoop:
                     return None, reason
                 if max_nodes is None or finer.n_nodes <= max_nodes:
                     return finer, ""
-                # engines meet the number roughly: ask for fewer in proportion
+                # engines meet the number roughly: ask for fewer in proportion, and 2 % less
                 bound = int(0.98 * cast("int", bound) * max_nodes / finer.n_nodes)
         return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {max_nodes} are allowed"
 
@@ -447,7 +449,7 @@ class AdaptiveLoop:
         parts = self.parts
         path = None
         self._report("solve", hierarchy.finest.n_nodes)
-        with once(self.said), self.clock.phase("solve"):
+        with once(self.warned_kinds), self.clock.phase("solve"):
             if parts.load_path is None:
                 result = solved(hierarchy, parts.solver, start, parts.rtol)
             else:
@@ -463,7 +465,7 @@ class AdaptiveLoop:
         work = result.work_units if path is None else sum(step.work_units for step in path)
         timings = self.clock.timings
         self.clock.timings = {}
-        # all before, too; work in passes over the finest matrix of this step
+        # totals of the steps before; their work in passes over the finest matrix of this step
         seconds_before = 0.0 if last is None else last.total_seconds
         work_before = 0.0
         if last is not None:

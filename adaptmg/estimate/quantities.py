@@ -82,8 +82,8 @@ class GoalView:
         return self.discrete.relative(_halved(self.mesh, nodal, _mean)).reshape(-1)
 
     def halved(self) -> tuple[GoalView, np.ndarray]:
-        """Return the view of the mesh with all edges halved, and for each of its elements the one
-        that holds it."""
+        """Return the view of the mesh with all edges halved, with the interpolated displacement, and for
+        each of its elements the element of this mesh that holds it."""
         made = refined(self.mesh, np.ones(len(self.mesh.elements), dtype=bool))
         mesh = onto_domain(self.problem.domain, made.mesh, self.mesh.n_nodes)
         slips = np.zeros(self.displacement.shape)
@@ -115,7 +115,9 @@ def _halved(
     n = len(values)
     first, second = cast("Refinement", mesh.refinement).parents[n:].T
     result = np.concatenate([values, np.zeros((len(first), *values.shape[1:]), values.dtype)])
-    while True:  # a new node may halve an edge of another one, whose number is lower
+    # a new node may halve an edge that ends in another new node, whose value is right only after a pass or
+    # more: the passes end where nothing changes
+    while True:
         new = rule(result[first], result[second])
         if np.array_equal(new, result[n:]):
             return result
@@ -371,6 +373,8 @@ class ContactForce:
         dim = view.mesh.dim
         on_boundary, sign = _contact_mask(view.touching, self.boundary)
         local = np.zeros((len(on_boundary), dim))
+        # the contact force F of a node acts on it, and its shares V on the nodes that it takes over: together
+        # (1 + sum(V)) F = F measures / weights
         share = on_boundary * view.touching.measures / view.touching.weights
         if self.direction not in ("normal", "tangential"):
             k = _axis("direction", self.direction, dim)
@@ -564,6 +568,8 @@ class Opening:
         on_boundary = weights > 0
         if self.point is None:
             name = f"mean opening of {self.boundary!r}"
+            # the gap of a node is a sum over the nodes that it takes over: w times it belongs to the measure
+            # of all of these
             weights /= np.sum(posed.measures[on_boundary])
         else:
             facets = np.concatenate(
@@ -574,7 +580,7 @@ class Opening:
             )
             weights = self._at_point(view, facets)
             name = f"opening of {self.boundary!r} at {_place(self.point)}"
-            weights = weights * posed.weights / posed.measures
+            weights = weights * posed.weights / posed.measures  # means over these nodes
         vector = np.zeros((view.discrete.n_nodes, mesh.dim))
         vector[contact.nodes] = -weights[:, None] * contact.frames[:, 0]  # of g0 - u_n
         return [Functional(name, float(weights @ contact.gap), "m", vector.reshape(-1))]

@@ -116,7 +116,10 @@ class ElementStress:
                 "nij,nj->ni", self.of_hoop[elements][:, self.columns], normals
             )
             # the difference of the hoop strains at a point and at the centroid
-            result += self.rise(elements, facets, rule)[:, :, None] * per_hoop_strain[:, None, :]
+            result += (
+                self.hoop_variation(elements, facets, rule)[:, :, None]
+                * per_hoop_strain[:, None, :]
+            )
         return result
 
     @cached_property
@@ -124,7 +127,9 @@ class ElementStress:
         """Return the hoop strain (n_elements,) at the centroids of axisymmetric elements, else empty."""
         return hoop_strain(self.mesh, self.displacement) if self.axisymmetric else np.empty(0)
 
-    def rise(self, elements: np.ndarray | slice, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
+    def hoop_variation(
+        self, elements: np.ndarray | slice, cells: np.ndarray, rule: np.ndarray
+    ) -> np.ndarray:
         """Return the hoop strain (n, n_points) at the points of a ``rule`` (n_points, k) on cells
         (n, k), elements or facets, minus that at the centroids of their elements (n,); 0 where
         elements are smoothed."""
@@ -247,7 +252,7 @@ class Solved:
     @cached_property
     def norm(self) -> float:
         """Return ||u_h||_A, sqrt(N m), of the displacement with prescribed values."""
-        unknowns, forces = self._moved  # u, and A'u + (B (I - Z))'p
+        unknowns, forces = self._unknowns_and_forces  # u, and A'u + (B (I - Z))'p
         # u'Au = u'A'u - 2 u . load + constant where inclined supports prescribe ubar along Z (see
         # discrete.supports); without initial strains the terms are only those
         parts = self.discrete.parts_under(
@@ -262,7 +267,7 @@ class Solved:
         return float(np.sqrt(max(energy, 0.0)))
 
     @cached_property
-    def _moved(self) -> tuple[np.ndarray, np.ndarray]:
+    def _unknowns_and_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the unknowns and the forces A u (n_dofs,), those of the pressures of volumes
         included, in relative coordinates."""
         unknowns = self.discrete.relative(self.result.displacement).reshape(-1)
@@ -273,7 +278,7 @@ class Solved:
         """Raise ValueError unless the result is of the loads of the problem: its load is b = A u -
         reactions - contact forces. It must be the load of the discrete problem, or that of the posed
         one, as a hierarchy may have the problem of a load step without its discretisation."""
-        unknowns, forces = self._moved
+        unknowns, forces = self._unknowns_and_forces
         exerted = np.asarray(self.result.reaction, dtype=np.float64).reshape(-1)
         if exerted.shape != forces.shape:
             raise ValueError(
@@ -305,16 +310,18 @@ class Solved:
         """Raise ValueError unless the obstacles of the result are in the places of the problem."""
         contact = self.result.contact
         # the discrete problem may have supports in other places than the result
-        unknowns, _ = self._moved
+        unknowns, _ = self._unknowns_and_forces
         change = unknowns - self.discrete.free_part(unknowns) - self.discrete.fixed_values
         gaps = self.discrete.contact.gaps - self.posed.approached(
             change.reshape(self.mesh.points.shape)
         )
-        # contact results are means, conditions of nodes that take over others sums
+        # the condition of a node that takes over the shares V of others is a sum with weights of sum
+        # 1 + sum(V) = measures / weights; contact results are the means
         gaps *= contact.weights / contact.measures
-        moved = contact.gap + contact.u_n - gaps
+        # the gap of the result before it moved by u_n, minus that of the problem
+        difference = contact.gap + contact.u_n - gaps
         length = np.abs([contact.gap, contact.u_n]).max(initial=0.0)
-        if np.abs(moved).max(initial=0.0) > checks.SIX_DIGITS * length:
+        if np.abs(difference).max(initial=0.0) > checks.SIX_DIGITS * length:
             raise ValueError(
                 "result has its obstacles in other places than hierarchy.problem: " + _OTHER_STEP
             )
