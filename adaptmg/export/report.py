@@ -589,6 +589,7 @@ def curves(
             color=color,
             linestyle="-" if joined else "",
             label=f"{plain(worded(axis.lines)[0])} = {_name(str(line))}",
+            # of many points the line alone, or dots where they are not joined
             marker="o" if len(median) <= _MARKED else "" if joined else ".",
         )
         if len(part) > len(median) and joined:

@@ -114,6 +114,7 @@ class ShadedSurface(Artist):
         )
         bias = 0.01 * float(np.ptp(seen[:, 2]))
         for line, ends in zip(self.lines, lines, strict=True):
+            # the whole line in the colour of its hidden parts, then its visible parts over it
             for color, nearer in ((line.hidden, np.inf), (line.color, bias)):
                 if color is not None:
                     raster_segments(
@@ -253,6 +254,7 @@ def view_of(ax: Axes3D, corners: np.ndarray) -> None:
     areas = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
+    # a later view replaces the best so far only if it shows clearly more
     best = 0.0
     chosen = _VIEWS[0]
     for view in _VIEWS:

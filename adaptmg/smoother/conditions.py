@@ -176,6 +176,7 @@ def linearise(
         return _clamped_equations(contact, unknowns, residual, aim[:, 0])
     contact, hardening = contact.tangent(unknowns, residual)
     c_t = factor * stiffness[:, 1:].max(axis=1)
+    # z_n = q_n + c_n / (1 + c_n e) (w_n - g_0 - e q_n)
     with np.errstate(invalid="ignore"):  # diverged unknowns may be infinite, as gaps may
         penetration = unknowns[:, 0] - contact.gap - contact.compliances * residual[:, 0]
         c_n = factor * stiffness[:, 0]

@@ -298,6 +298,8 @@ class _Method:
         length = min(1.0, self._direction(solve, target=0.0, weight=0.0)[1])
         predicted_total = _measure(self.state + length * self.change, *self.conditions)[0]
         centring = min(max(predicted_total / self.total, 0.0), 1.0) ** 3
+        # products of changes go with the square of the step: of a short predictor they count in that
+        # proportion, of one that goes at least half of its way in full
         second_order = 1.0 if length >= 0.5 else length * length
         step, length = self._direction(solve, target=centring * mean, weight=second_order)
         if _FRACTION * length < _SHORT:

@@ -298,6 +298,8 @@ class Preconditioned:
                 break
             # as much smaller as the error is too large, with a margin of a half
             tolerance *= max(0.5 * rtol * solution_energy / error, 1e-2)
+        # a tenth more: the iteration ends by the residual that it updates, from which rounding moves
+        # this one away
         relative = _relative(residual, rhs)
         return LinearSolution(
             unknowns=unknowns,

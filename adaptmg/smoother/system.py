@@ -81,9 +81,9 @@ class Layer:
         normal displacements (n_contact,).
 
         The law d = e p^(1/m) is linearised at the force p. Where it is softer than the rest of the
-        node, it is linearised at the force (d/e)^m of the depth d instead: a residual changes the force
-        there by more than the depth. A node that does not touch takes the mean force of the others;
-        where none touches, surfaces are rigid.
+        node, it is linearised at the force (d/e)^m of the depth d instead: an error of the displacement
+        changes the residual, from which p comes, more than this force. A node that does not touch takes
+        the mean force of the others; where none touches, surfaces are rigid.
 
         With the compliance c = e p^(1/m - 1) / m at p the tangent is d = (m - 1) c p + c q in the force
         q, and the secant d = m c q. The tangent is taken where its force at the depth d, d/c - (m - 1) p,
@@ -167,6 +167,7 @@ class NodalContact:
         the friction. ``values`` of the contact nodes and the residual b - A w there are both
         (n_contact, dim)."""
         if self.layer is not None:
+            # with a layer the compliances are stored, so that this changes them
             laws = self.layer.linearised(residual[:, 0], values[:, 0])
             self.gap[:], self.compliances[:] = laws
         if self.friction_at is not None:
@@ -435,7 +436,8 @@ def _slip_reference(
     """Return the values (n_contact, dim - 1) of the tangential unknowns, which count from the
     ``prescribed`` displacements, at which the slip is zero. Unknowns along ``held`` tangents are 0: so
     is their reference, since the support bears the friction there. At nodes ``first_held`` the friction
-    along the second tangent depends on both slips: there it is minus the prescribed slip."""
+    along the second tangent depends on both slips: there it is minus the prescribed slip, which is then
+    the slip of the unknown 0."""
     before = to_frames(frames, problem.contact.slip_reference)
     reference = before[:, 1:] - prescribed
     reference[held] = 0.0

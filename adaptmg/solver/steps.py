@@ -73,10 +73,9 @@ class Cycles:
         if smoothed is None or not np.array_equal(smoothed.unknowns, state.unknowns):
             smoothed = self.cycle(State(unknowns=state.unknowns))
         new = self.cycle(smoothed)
-        passes = self.run.work_units - before
         return State(
             unknowns=new.unknowns,
-            passes=passes,
+            passes=self.run.work_units - before,
             memory=new,
             residual=new.residual,
             cycles=state.cycles + 1,

@@ -518,10 +518,10 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     best = slip[shortest[coarse]]
     dot = fine_slip[:, 0] * best[:, 0] + fine_slip[:, 1] * best[:, 1]
     cross = fine_slip[:, 0] * best[:, 1] - fine_slip[:, 1] * best[:, 0]
-    other = ~(dot > 0.0) | (
+    turned = ~(dot > 0.0) | (
         np.abs(cross) > checks.SIX_DIGITS * (size[shortest[coarse]] * size[sets.nodes])
     )
-    parallel = filled & (np.bincount(coarse[other], minlength=len(sets.main)) == 0)
+    parallel = filled & (np.bincount(coarse[turned], minlength=len(sets.main)) == 0)
     return np.where(parallel[:, None], slip[shortest], 0.0)
 
 

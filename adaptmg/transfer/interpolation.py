@@ -216,6 +216,7 @@ def _interpolate_on_lattice(
     step = np.int32(1)
     for axis, (m, n) in enumerate(zip(coarse_cells, fine_cells, strict=True)):
         cell, rest = np.divmod(np.arange(n + 1) * m, n)
+        # (n + 1,) along x, (n + 1, 1) along y, (n + 1, 1, 1) along z
         along_axis = (-1, *[1] * axis)
         corner = (step * cell.astype(np.int32)).reshape(along_axis) + corner
         shares.append((rest / n).reshape(along_axis))

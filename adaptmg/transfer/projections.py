@@ -222,13 +222,15 @@ def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, dr
     sigma = middle / half
     scaled_mass = inverse @ mass
     scaled_rhs = cast("Any", inverse @ rhs)  # scipy-stubs: sparse or dense as rhs is
-    solution = step = scaled_rhs / middle
+    step = scaled_rhs / middle
+    solution = step
     root = np.sqrt(high / low)
     steps = int(np.ceil(np.log(2 / tolerance) / np.log((root + 1) / (root - 1))))
     rho = 1 / sigma
     for _ in range(steps):
         residual = scaled_rhs - scaled_mass @ solution
-        rho, previous = 1 / (2 * sigma - rho), rho
+        previous = rho
+        rho = 1 / (2 * sigma - previous)
         step = rho * previous * step + 2 * rho / half * residual
         solution = solution + step
         if drop > 0:
@@ -376,6 +378,9 @@ def _body_entries(
 def _quadrature(
     locator: interpolation.PointLocator, fine: MeshArrays, elements: np.ndarray
 ) -> tuple[np.ndarray, ...]:
+    """Return fine elements (n,), coarse nodes (n,) and integrals (n, dim + 1), as :class:`MixedMass`
+    has them, over some fine elements by quadrature: each point has the coarse shape functions of the
+    nearest point of the coarse mesh."""
     shape, weights = simplex_rule(fine.dim, 4)
     points = np.einsum("qv,evc->eqc", shape, fine.points[fine.elements[elements]])
     location = locator.locate(points.reshape(-1, fine.dim))
