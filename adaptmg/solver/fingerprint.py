@@ -370,10 +370,10 @@ class _Pickler(pickle.Pickler):
             return self.found.name_of(value)
         if type(value) is BuiltinFunctionType and isinstance(value.__self__, ModuleType):
             return self.found.name_of(value.__self__), value.__name__
-        content = self._content(value)
-        return self._instance(value) if content is None else content
+        comparable = self._comparable(value)
+        return self._instance(value) if comparable is None else comparable
 
-    def _content(self, value: typing.Any) -> object:
+    def _comparable(self, value: typing.Any) -> object:
         """Return what an object without a pickle is compared by, or one whose pickle may change though
         the object does not; PicklingError if it cannot be compared, None for other objects. An object
         is of one of these kinds at most."""
