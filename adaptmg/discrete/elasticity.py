@@ -309,8 +309,10 @@ def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> Patches:
 def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
     """Return the volumes (n_elements,) of the elements, in axisymmetry of the full
     circumference."""
-    radii = mesh.points[mesh.elements, 0].mean(axis=1)
-    return 2 * np.pi * radii * mesh.volumes if axisymmetric else mesh.volumes
+    if not axisymmetric:
+        return mesh.volumes
+    radii = mesh.points[mesh.elements, 0].mean(axis=1)  # 11 ms for 263k nodes
+    return 2 * np.pi * radii * mesh.volumes
 
 
 def _sorted_edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:

@@ -45,7 +45,7 @@ Instance = TypeVar("Instance")
 
 
 def with_fields(instance: Instance, **changes: object) -> Instance:
-    """Return a copy of a dataclass with some fields changed, in a tenth of the time of
+    """Return a copy of a dataclass with some fields changed, in a fifth of the time of
     dataclasses.replace."""
     result = object.__new__(type(instance))
     vars(result).update(vars(instance), **changes)
