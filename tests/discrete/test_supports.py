@@ -406,6 +406,33 @@ def test_gaps_next_to_a_clamped_end_follow_the_motion_of_both(seed):
     )
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_body_moves_with_its_obstacle_along_a_path(seed):
+    """Supports, of which one clamps a corner, and the obstacle move all of the body alike: nothing
+    strains it, and no gap opens or closes."""
+    mesh = numbered_at_random(sheared(3, seed)[-1], seed)
+    normals = {name: mesh.surface(name).normals[0] for name in ("left", "front", "bottom")}
+    shift = 1e-3 * np.random.default_rng(seed).standard_normal(3)
+    floor = am.Plane([0] * 3, -normals["bottom"])
+    problem = am.ContactProblem(
+        material=am.Solid(young=1e7, poisson=0.3),
+        law=am.Frictionless(),
+        contact=am.Contact("bottom", am.Moving(floor, displacement=shift, name="bottom")),
+        supports=[
+            am.Support("left", **dict(zip("xyz", shift, strict=True))),
+            am.Support("front", normal=normals["front"] @ shift),
+        ],
+    )
+    grids = am.Hierarchy.from_meshes(problem, [mesh])
+    factors = [1.0, -0.5]
+    path = am.LoadPath(dict.fromkeys(("left", "front", "bottom"), factors))
+    for factor, result in zip(factors, am.solve_path(grids, path, EXACT), strict=True):
+        np.testing.assert_allclose(
+            result.displacement, np.tile(factor * shift, (mesh.n_nodes, 1)), atol=1e-12
+        )
+        np.testing.assert_allclose(result.contact.gap, 0.0, atol=1e-12)
+
+
 def pressed(dim, **changes):
     """A block between two planes of symmetry that is pressed and pushed on an obstacle."""
     names = "left", *["front"] * (dim == 3)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from bodies import EXACT
+from bodies import EXACT, rotation
 from refused import refused
 
 import adaptmg as am
@@ -306,6 +306,26 @@ def test_a_support_of_a_node_that_follows_its_partner_is_refused(corner):
     problem, _ = cell(2, supports=at_corner)
     with pytest.raises(ValueError, match=r"not its partner, .* hold the partner at \("):
         am.Hierarchy.uniform(problem, (2, 4))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_a_plane_support_of_one_periodic_side_is_refused_at_any_angle(angle):
+    mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    middles = mesh.points[mesh.facets].mean(axis=1)
+    at_slave = (middles[:, 0] > 0.5) & (middles[:, 1] == 0)
+    part = replace(
+        mesh,
+        points=mesh.points @ rotation(angle).T,
+        boundaries=(*mesh.boundaries, "foot"),
+        facet_labels=np.where(at_slave, len(mesh.boundaries), mesh.facet_labels),
+    )
+    problem = am.ContactProblem(
+        material=PLANE,
+        ties=am.Periodic("left", "right"),
+        supports=[am.Support("foot", normal=0.0), am.Support("top", x=0.0, y=0.0)],
+    )
+    with pytest.raises(ValueError, match="not its partner"):
+        am.discretise(problem, part)
 
 
 @pytest.mark.parametrize("shift", [(0, 2), (2, 1)])
