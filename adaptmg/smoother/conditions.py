@@ -282,6 +282,7 @@ def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) 
         bound=zero,
         c_t=zero,
     )
+    # the slip along a held tangent is that of the support
     equations.change[contact.driven, 1] = 0.0
     return equations
 

@@ -112,9 +112,8 @@ def _invert(zero, data, places, inverse):
     size = np.uint64(len(zero) ** 2)
     for k in range(len(places)):
         at = size * np.uint64(k)
-        m = upper(
-            data, size * np.uint64(places[k]), zero
-        )  # xx, xy, yy; in space xx, xy, xz, yy, yz, zz
+        # xx, xy, yy; in space xx, xy, xz, yy, yz, zz
+        m = upper(data, size * np.uint64(places[k]), zero)
         if len(zero) == 1:
             inverse[at] = 1.0 / m[0]
         elif len(zero) == 2:

@@ -313,15 +313,15 @@ class Examiner:
         whole.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
         missed = discrete.volumes.scale * discrete.volumes.missed(solved, pressures)
         size = float(np.hypot(euclidean_norm(whole), euclidean_norm(missed)))
-        exerted = euclidean_norm(at_contact.reshape(-1))
+        contact_norm = euclidean_norm(at_contact.reshape(-1))
         unknowns = solved
         if self.sizes.prescribed:
             unknowns = np.where(discrete.fixed, 0.0, solved)
             # a row sums terms of the size of its diagonal times its displacement
             floor = ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
-            if size <= floor and self.sizes.nothing_strains(exerted, floor, unknowns):
+            if size <= floor and self.sizes.nothing_strains(contact_norm, floor, unknowns):
                 return 0.0
-        return ratio(size, self.sizes.forces(unknowns, exerted))
+        return ratio(size, self.sizes.forces(unknowns, contact_norm))
 
     def __call__(self, solution: np.ndarray, rtol: float = 0.0) -> Examined:
         """Examine a solution (n_unknowns,), between bodies in relative coordinates. The last answer is

@@ -235,7 +235,7 @@ class _Parts:
             return
         if isinstance(value, _NAMED):
             name = self.name_of(value)  # which also has it examined later
-            if name == f"own {where}":
+            if name == f"own {where}":  # read where it is defined: its own parts say all
                 return
         try:
             self._parts[f"value of {where}"] = self._hash(value)

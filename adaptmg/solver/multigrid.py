@@ -261,7 +261,7 @@ def handed_over(outcome: Outcome, hierarchy: Grids, run: Run) -> Outcome:
     if outcome.left and factorisable(problem):
         solver = ActiveSet(
             rtol=outcome.rtol,
-            max_steps=max(outcome.left, 1),
+            max_steps=outcome.left,
             condensed=problem.dim * len(problem.contact.nodes) <= CONDENSED,
         )
         outcome = _continued(outcome, solver, "ActiveSet", start, hierarchy, run)
@@ -298,8 +298,6 @@ def _continued(
 ) -> Outcome:
     """Return the outcome of another solver for the cycles that are left, added to that ``before``;
     ``before`` if the other one gives up."""
-    if not before.left:
-        return before
     _LOG.info(
         "cycle %d: the method does not converge; going on with %s",
         before.cycles,

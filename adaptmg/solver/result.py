@@ -348,8 +348,8 @@ def _remedy(result: Result, violated: tuple[str, ...]) -> str:
         )
     if "ActiveSet" not in result.method or "am.ActiveSet()" not in advice:
         return advice
-    levels = not result.fallback and len(result.levels) > 1
-    other = "am.FullMultigrid()" if levels else "another start, am.solve(..., start=...),"
+    untried = not result.fallback and len(result.levels) > 1
+    other = "am.FullMultigrid()" if untried else "another start, am.solve(..., start=...),"
     before, take, _ = advice.partition("take ")  # "...: take am.ActiveSet() ..." of Status
     return f"{before}{take}{other} or less friction"
 

@@ -212,8 +212,8 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     dofs = dofs_of(nodes, problem.dim)
     modes = problem.near_nullspace[dofs]
     forces = stiff[dofs] / np.abs(problem.matrix.data).max()
-    # the modes of all bodies, restricted to one, are dependent: an orthonormal basis by their Gram
-    # matrix
+    # the modes of all bodies, restricted to one, are dependent: their Gram matrix gives an orthogonal
+    # basis, of length sqrt(n_nodes), so that nodes move by about 1
     gram_values, gram_vectors = np.linalg.eigh(modes.T @ modes)
     independent = gram_values > 1e-12 * gram_values[-1]
     if not independent.any():
@@ -222,7 +222,7 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     modes = modes @ basis
     forces = forces @ basis
     strained = np.linalg.norm(forces, axis=1) > _SOFTEST
-    # springs far softer than the body hold it too
+    # springs far softer than the body hold it too: forces count over the largest one
     scale = np.abs(forces).max(initial=0.0) if strained.any() else 1.0
     held = np.vstack([modes[problem.fixed[dofs]], forces[strained] / scale])
     return modes @ _null_combinations(held).T
