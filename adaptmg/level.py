@@ -274,7 +274,7 @@ def level_on_demand(problem: ContactProblem | ScalarProblem, mesh: MeshArrays) -
     """Return the problem on a mesh, a contact problem discretised when it is first read."""
     if isinstance(problem, ScalarProblem):
         return level_of(problem, mesh)
-    posed = Posed.of(problem, mesh)  # what does not fit is refused at once
+    posed = Posed.of(problem, mesh)  # refuses what does not fit
     return Level.on_demand(partial(discretised_level, posed), mesh=mesh, posed=posed)
 
 

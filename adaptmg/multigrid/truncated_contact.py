@@ -367,7 +367,7 @@ class TruncatedContact:
         )
         values = np.where(truncated, before, values)
         normal = self.conditions.clamped(values[:, 0])
-        # the gap of a spring is no limit of the conditions, but a correction does not cross it
+        # the gap of a spring does not limit the conditions, but a correction does not cross it
         same_side = np.where(closed, np.maximum(normal, self.gap), np.minimum(normal, self.gap))
         values[:, 0] = np.where(on_spring, same_side, normal)
         values[self.driven, 1:2] = 0.0

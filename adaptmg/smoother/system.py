@@ -444,7 +444,7 @@ def _slip_reference(
     if first_held is not None:
         u = to_frames(frames, problem.at_contact(problem.fixed_values))
         slip = u[:, 1] - before[:, 1]
-        # along directions that are not axes rounding is no slip
+        # along directions that are not axes rounding is not a slip
         slip[np.abs(slip) <= checks.ROUNDING * np.abs([u, before]).max()] = 0.0
         reference[first_held, 0] = -slip[first_held]
     return np.ascontiguousarray(reference)

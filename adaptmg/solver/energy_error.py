@@ -108,7 +108,7 @@ class FrozenStatus:
 @kernel
 def _invert(zero, data, places, inverse):
     """Invert the symmetric blocks at some places by cofactors: .8 ms for 263k nodes. By numpy.linalg it
-    takes 38, which pays only if it is kept, 32 bytes a node."""
+    takes 38, which pays only if the result is stored, 32 bytes a node."""
     size = np.uint64(len(zero) ** 2)
     for k in range(len(places)):
         at = size * np.uint64(k)
@@ -368,7 +368,7 @@ class _Equations:
 
 class _GalerkinSolution:
     """The solution in the span of directions that are orthonormal in the energy. For symmetric equations
-    (conjugate gradients) only the last direction is kept, along which alone the solution changes;
+    (conjugate gradients) only the last direction is stored, along which alone the solution changes;
     otherwise the equations on all of them are solved again for each new direction."""
 
     def __init__(self, equations: _Equations, load: np.ndarray) -> None:

@@ -368,7 +368,7 @@ class Examiner:
         frames = self.frames
         held = self.held
         contact = self.discrete.contact
-        # slips are differences of displacements of this size, whose rounding is no slip
+        # slips are differences of displacements of this size, whose rounding is not a slip
         negligible_slip = 1e-12 * np.abs(solved).max(initial=0.0)
         force = self._at_contact(residual)
         u = to_frames(frames, discrete.at_contact(solved.reshape(discrete.n_nodes, discrete.dim)))

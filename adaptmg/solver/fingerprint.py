@@ -123,7 +123,7 @@ _BASES: tuple[type[typing.Any], ...] = (
 )
 
 
-#: kinds of objects that are pickled as they are; what containers hold is examined in turn
+#: kinds of objects that are pickled unchanged; what containers hold is examined in turn
 _PICKLED = (dict, list, tuple, str, int, float, bool, type(None), bytes)
 
 

@@ -304,7 +304,7 @@ def _continued(
         method,
     )
     run.first_cycle += before.cycles
-    # the work of the start is that of the first method's nested start: the other solver sets it anew
+    # the work of the start is that of the first method's nested start: the other solver sets it again
     start_work_units = run.start_work_units
     try:
         outcome = solver.run(hierarchy, run, start)

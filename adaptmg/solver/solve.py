@@ -62,8 +62,8 @@ def solve(
         are only spaces ``Multigrid()``. On one level the quickest: ``ActiveSet()``, or for large
         problems ``Multigrid()`` on coarse spaces made from the matrix. Where the finest level has
         at most 600 unknowns (in space 500, of scalar problems 200): ``ActiveSet(rtol=1e-8)`` on it
-        alone, and ``FullMultigrid()`` on all levels if that does not converge; in load paths
-        multigrid at once. Where the coarsest level has
+        alone, and ``FullMultigrid()`` on all levels if that does not converge; load paths take
+        multigrid. Where the coarsest level has
         more than 1500 unknowns: without levels of less than 4 (2D: 2) times the nodes of the next
         coarser one, and ``ActiveSet()`` where none is left and contact nodes are few. Printing the
         result says which and why.

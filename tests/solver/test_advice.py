@@ -280,7 +280,7 @@ def test_a_small_problem_takes_its_finest_level_alone(divisions):
     assert sent.table() == grids.table()
 
 
-def test_a_small_slender_bar_is_told_that_the_default_tolerance_is_below_rounding():
+def test_a_warning_names_the_default_tolerance_of_a_small_slender_bar():
     problem = am.ContactProblem(
         domain=am.Rectangle(width=1000.0, height=1.0),
         material=am.PlaneStrain(young=1e9, poisson=0.3),
