@@ -148,7 +148,7 @@ class Hierarchy(Grids):
         from adaptmg.mesh.lattices import lattices, warn_of_stretched
 
         domain = cast("Rectangle | Box | Assembly", need_domain(problem))
-        divisions = _each("divisions", divisions, (int, np.integer, Mapping))
+        divisions = _values_of_levels("divisions", divisions, (int, np.integer, Mapping))
         if len(divisions) > _MOST_LEVELS:
             raise ValueError(
                 f"divisions must be at most {_MOST_LEVELS} levels, got {len(divisions)}"
@@ -230,7 +230,7 @@ class Hierarchy(Grids):
             sizes, ratio = sensible_sizes(domain, problem.pair_boundaries)
         fine = problem.pair_boundaries or problem.tied_boundaries
         contact_ratio = ratio if contact_ratio is None else contact_ratio
-        sizes = _each("sizes", sizes, (float, int, np.number, Mapping))
+        sizes = _values_of_levels("sizes", sizes, (float, int, np.number, Mapping))
         origin = (
             f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
         )
@@ -295,7 +295,10 @@ class Hierarchy(Grids):
 
         check_problem(problem)
         is_single = isinstance(meshes, (MeshArrays, str, os.PathLike)) or hasattr(meshes, "ngmesh")
-        arrays = [as_mesh(mesh) for mesh in _each("meshes", (meshes,) if is_single else meshes, ())]
+        arrays = [
+            as_mesh(mesh)
+            for mesh in _values_of_levels("meshes", (meshes,) if is_single else meshes, ())
+        ]
         return cls._build(problem, arrays, transfer, "given meshes", begin, contact_rows)
 
     @classmethod
@@ -464,7 +467,7 @@ class Hierarchy(Grids):
         )
 
 
-def _each(name: str, value: Any, single_types: tuple[type, ...]) -> tuple[Any, ...]:
+def _values_of_levels(name: str, value: Any, single_types: tuple[type, ...]) -> tuple[Any, ...]:
     """Return the values of the levels as a tuple; a value of one of ``single_types`` stands for one
     level."""
     if isinstance(value, single_types) and not isinstance(value, bool):

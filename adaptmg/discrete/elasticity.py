@@ -484,7 +484,7 @@ def _find_neighbours(first, last, start, patches, begin, nodes, counts):
 @kernel
 def _shape_gradients(first, last, zero, points, elements, slopes, measures):
     """Write the gradients of the shape functions of elements, and their volumes. Returns a bad one,
-    or -1."""
+    or -1. ``zero``, here and below, is ZERO[dim]."""
     dim = len(zero)
     edges = np.empty((len(zero), len(zero)))
     normals = np.empty((len(zero), len(zero)))

@@ -215,7 +215,7 @@ def _largest_radius(
 def _element_size(mesh: MeshArrays, r: np.ndarray, radius: float) -> float:
     """Return the median size, m, of the elements at .2 to 1 of a radius, the edge of an equilateral one of
     the same area; infinite if there are none."""
-    ring = np.abs(r[mesh.elements].mean(axis=1) / radius - 0.6) < 0.4
+    ring = np.abs(r[mesh.elements].mean(axis=1) / radius - 0.6) < 0.4  # .2 to 1
     sizes = np.sqrt(4 / np.sqrt(3) * mesh.volumes[ring])
     return float(np.median(sizes)) if len(sizes) else np.inf
 

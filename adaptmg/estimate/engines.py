@@ -299,7 +299,7 @@ class Remesh:
         need_domain(problem)
         estimate_for(checks.instance("mesh", mesh, MeshArrays), estimate)
         sizes = self._equilibrated(
-            problem, mesh, estimate, _aim(mesh.n_nodes, max_nodes, self.growth)
+            problem, mesh, estimate, _nodes_to_aim_at(mesh.n_nodes, max_nodes, self.growth)
         )
         factors = (sizes / nodal_sizes(mesh, simplex_sizes(mesh)))[mesh.elements].min(axis=1)
         # much of the error lies in elements that are to become much smaller
@@ -308,7 +308,7 @@ class Remesh:
             and estimate.squares[factors < _STEEP].sum() > _SHARE * estimate.squares.sum()
         ):
             sizes = self._equilibrated(
-                problem, mesh, estimate, _aim(mesh.n_nodes, max_nodes, _SLOW)
+                problem, mesh, estimate, _nodes_to_aim_at(mesh.n_nodes, max_nodes, _SLOW)
             )
         return self.mesh(problem, SizeField(mesh, sizes))
 
@@ -350,7 +350,7 @@ class Remesh:
         )
 
 
-def _aim(nodes: int, max_nodes: int | None, growth: float) -> float:
+def _nodes_to_aim_at(nodes: int, max_nodes: int | None, growth: float) -> float:
     """Return the number of nodes to aim at after a mesh of ``nodes`` nodes: ``growth`` times as many,
     or with ``max_nodes`` the factor near it by which equal steps lead there."""
     if max_nodes is None:

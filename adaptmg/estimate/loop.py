@@ -378,11 +378,11 @@ class AdaptiveLoop:
         without_error = [_is_exact(step.estimate) for step in self.done[-2:]]
         if without_error[-1] and (last.settled is None or without_error == [True, True]):
             return "no progress: the indicator finds no error beyond rounding"
-        if self._full(last.nodes):
+        if self._is_near_limit(last.nodes):
             return f"max_nodes: {last.nodes} of {limits.max_nodes} nodes are used"
         return ""
 
-    def _full(self, nodes: int) -> bool:
+    def _is_near_limit(self, nodes: int) -> bool:
         """Return whether this number of nodes leaves no room for another mesh; along a path meshes
         may follow each other with the same number."""
         if self.limits.max_nodes is None or self.parts.remesh_every is not None:
@@ -431,7 +431,7 @@ class AdaptiveLoop:
         with self.clock.phase("levels"):
             grown = appended(before, mesh, self.parts.engine)
             start = carried(grown, len(before) - 1, last.result)
-            grown = thinned(grown, last=self._full(mesh.n_nodes))
+            grown = thinned(grown, last=self._is_near_limit(mesh.n_nodes))
         # the seconds that the hierarchy spent in phases of its own are not those of choosing levels; those
         # of compiling are no phase, and the clock has counted them
         for name, seconds in grown.timings.items():

@@ -520,7 +520,8 @@ class Guide:
 
     def balanced_values(self, values: np.ndarray) -> np.ndarray:
         """Return values of the unknowns with which obstacles balance their forces, by a few steps to
-        first order from ``values``; or the last ones, where equations become singular."""
+        first order from ``values``; or the last ones, where equations become singular. ValueError if
+        they are singular before the first trial, or nothing resists the forces."""
         values = values.copy()
         for _ in range(_RELINEARISED if self.n_motions else 0):
             try:
@@ -714,7 +715,8 @@ class Search(Generic[Carried]):
                 guide = None
                 continue
             if not by_differences and new_missed_size > 0.9 * missed_size:
-                jacobian = None  # differences at the same trial replace it
+                # hardly a reduction: differences at the same trial replace a Jacobian that was updated
+                jacobian = None
                 continue
             # J + (F(z + d) - F(z) - J d) d' / d'd
             update = new.missed - trial.missed - jacobian @ change

@@ -75,6 +75,7 @@ def _sum(a, b):
 @inner_kernel
 def _product(a, b):
     """Return a product, and its rounding error."""
+    # 2^27 + 1: u and v become the upper halves of the 53 digits of a and b (Dekker)
     u = 134217729.0 * a
     v = 134217729.0 * b
     product = a * b

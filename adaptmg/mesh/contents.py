@@ -71,7 +71,7 @@ def mesh_of(
     """Return the checked mesh, the midpoints (n, dim), m, of boundary facets that no name of the
     file holds, and what is to be said of facets that no element has."""
     _check(contents)
-    points, elements, block, row, notes = _cut(contents)
+    points, elements, block, row, notes = _cut_into_simplices(contents)
     points = unit * points
     table = facet_table(elements, len(points))
     # sets of cells name bodies, unless the caller does
@@ -122,7 +122,9 @@ def _check(contents: Contents) -> None:
             raise ValueError("elements or sets name nodes that it does not hold")
 
 
-def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[str]]:
+def _cut_into_simplices(
+    contents: Contents,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[str]]:
     """Return the points, the simplices of the cells of the largest dimension, the block and the row
     of the cell that each is a part of, and notes of what was cut."""
     kinds = {kind for kind, nodes in contents.cells if len(nodes)}
@@ -214,7 +216,7 @@ def _names(
         names.append(f"{name}_{count[name]}" if count[name] > 1 else name)
     if len(set(names)) < len(names):
         raise ValueError(
-            f"bodies are called {_some(called)}, and their pieces alike; give the bodies other names"
+            f"bodies are called {_listed_names(called)}, and their pieces alike; give the bodies other names"
         )
     return names, [
         f"body {name!r} has {n} pieces, called {name}, {name}_2, ..."
@@ -223,8 +225,8 @@ def _names(
     ]
 
 
-def _some(names: Sequence[str]) -> str:
-    """Return names for a note."""
+def _listed_names(names: Sequence[str]) -> str:
+    """Return names for a message, the first six of many."""
     return ", ".join(names[:6]) + (f", ... ({len(names)})" if len(names) > 6 else "")
 
 
@@ -266,7 +268,7 @@ def _labelled(
     used = set(label.tolist())
     if empty := [name for name in order if names.index(name) + 1 not in used]:
         notes.append(
-            f"sets that name no facet of the boundary, or only facets of other names: {_some(empty)}"
+            f"sets that name no facet of the boundary, or only facets of other names: {_listed_names(empty)}"
         )
     return facets[label > 0], label[label > 0], names, notes, strange
 
@@ -280,8 +282,8 @@ def _claims(
         return sorted(facets_of, key=lambda name: (name not in surface_names, len(facets_of[name])))
     if unknown := [name for name in boundaries if name not in facets_of]:
         raise ValueError(
-            f"boundaries: it holds no {_some(list(map(repr, unknown)))}; it holds "
-            f"{_some(list(facets_of))}"
+            f"boundaries: it holds no {_listed_names(list(map(repr, unknown)))}; it holds "
+            f"{_listed_names(list(facets_of))}"
         )
     return list(boundaries)
 

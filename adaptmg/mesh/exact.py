@@ -61,7 +61,7 @@ def _merged(named: Iterable[tuple[str, Revolved]]) -> dict[str, list[Revolved]]:
 def _faces(domain: Domain) -> Iterator[tuple[str, Revolved]]:
     """Yield the name and the surface of each face of a solid, or of each edge of a plane domain."""
     if isinstance(domain, Outline):
-        yield from _swept(domain)
+        yield from _extruded(domain)
     elif isinstance(domain, Box):
         for name, (axis, end) in BOX_SIDES.items():
             yield name, plane_through((domain.lower, domain.upper)[end], np.eye(3)[axis])
@@ -82,15 +82,15 @@ def _faces(domain: Domain) -> Iterator[tuple[str, Revolved]]:
             ),
         )
     elif isinstance(domain, Extrusion):
-        yield from _swept(domain.polygon)
+        yield from _extruded(domain.polygon)
         yield "bottom", plane_through((0.0, 0.0, domain.base), _AXIS)
         yield "top", plane_through((0.0, 0.0, domain.base + domain.height), _AXIS)
     elif isinstance(domain, Revolution):
         yield from _turned(domain)
 
 
-def _swept(outline: Outline) -> Iterator[tuple[str, Revolved]]:
-    """Yield the edges of an outline, swept along z."""
+def _extruded(outline: Outline) -> Iterator[tuple[str, Revolved]]:
+    """Yield the surfaces that the edges of an outline make when they are extruded along z."""
     for i, name in enumerate(outline.boundaries):
         edge = outline.edges[i]
         if isinstance(edge, Arc):

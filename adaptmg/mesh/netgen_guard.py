@@ -92,14 +92,14 @@ class Netgen:
         ``seconds`` of the processor."""
         late = threading.Event()
         done = threading.Event()
-        start = self._spent()
+        start = self._processor_seconds()
         end = time.monotonic() + _PATIENCE * seconds
 
         def watch() -> None:
             # kill the process when its time is up, which ends the wait for its answer
             left = seconds
             while not done.wait(min(max(left, 0.1), threading.TIMEOUT_MAX)):
-                left = min(seconds - self._spent() + start, end - time.monotonic())
+                left = min(seconds - self._processor_seconds() + start, end - time.monotonic())
                 if left <= 0:
                     late.set()
                     self.process.kill()
@@ -130,7 +130,7 @@ class Netgen:
             raise NetgenFails(answer)
         return answer
 
-    def _spent(self) -> float:
+    def _processor_seconds(self) -> float:
         """Return the seconds of the processor that the process has taken."""
         import psutil  # a first solve without it starts sooner
 

@@ -95,11 +95,11 @@ def tables(
     points = np.array(mesh.Coordinates(), dtype=np.float64)[:, :dim]
     volume = volume.NumPy()
     surface = surface.NumPy()
-    elements, body = _cut(volume, points)
+    elements, body = _cut_into_simplices(volume, points)
     facets = surface["nodes"][:, :2].astype(np.int64) - 1
     label = surface["index"].astype(np.int64) - 1
     if dim == 3:
-        facets, label = _cut(surface)
+        facets, label = _cut_into_simplices(surface)
         faces = np.array([face.bc for face in mesh.FaceDescriptors()], dtype=np.int64) - 1
         label = faces[_indices("the face descriptor", label, len(faces))]
     if boundaries is None or bodies is None:
@@ -152,7 +152,9 @@ def ngsolve_mesh(
     return ngsolve.Mesh(result)
 
 
-def _cut(table: np.ndarray, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def _cut_into_simplices(
+    table: np.ndarray, points: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the simplices (n, dim + 1) that elements (or without ``points`` facets) are, or are
     cut into, and the body (label) of each."""
     from adaptmg.mesh.shapes import KINDS, simplices

@@ -263,7 +263,7 @@ def simplices(
             start = part.argmin(axis=1)
             if points is not None:
                 start = _shorter(part, points, ((0, 2), (1, 3)))
-            turned = _first(part, start)
+            turned = _turned_rings(part, start)
             cells += [turned[:, :3], turned[:, [0, 2, 3]]]
             owners += [np.arange(len(part))] * 2
         elif len(local) <= 4:
@@ -303,8 +303,8 @@ def _shorter(
     return np.array([a for a, _ in pairs])[np.argmin(lengths, axis=0)]
 
 
-def _first(ring: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Return rings of nodes (n, k) turned to begin at the places ``start`` (n,)."""
+def _turned_rings(ring: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Return rings of nodes (n, k), turned so that each begins at its place ``start`` (n,)."""
     return np.take_along_axis(
         ring, (start[:, None] + np.arange(ring.shape[1])) % ring.shape[1], axis=1
     )
@@ -323,7 +323,7 @@ def _cones(facets: tuple[Corners, ...], part: np.ndarray, apex: np.ndarray) -> t
             base = part[cells_of_apex][:, facet]
             triangles = [base]
             if len(facet) == 4:
-                turned = _first(base, base.argmin(axis=1))
+                turned = _turned_rings(base, base.argmin(axis=1))
                 triangles = [turned[:, :3], turned[:, [0, 2, 3]]]
             for triangle in triangles:
                 cells.append(np.column_stack([triangle, part[cells_of_apex, top]]))

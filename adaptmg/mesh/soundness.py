@@ -76,7 +76,7 @@ def check_stranger(mesh: MeshArrays) -> MeshArrays:
     return sound_by_construction(check_overlap(check_mesh(mesh)))
 
 
-def _at(points: np.ndarray) -> str:
+def _place_of(points: np.ndarray) -> str:
     """Return the mean of some points as text for a message."""
     return "(" + ", ".join(f"{c:.6g}" for c in points.mean(axis=0)) + ")"
 
@@ -91,7 +91,7 @@ def _check_elements(mesh: MeshArrays) -> None:
             e = int(bad[0])
             raise ValueError(
                 f"{len(bad)} of {len(mesh.elements)} elements are {what}; element {e} at "
-                f"{_at(mesh.points[mesh.elements[e]])} has volume {mesh.volumes[e]:.4g} {unit}, "
+                f"{_place_of(mesh.points[mesh.elements[e]])} has volume {mesh.volumes[e]:.4g} {unit}, "
                 f"nodes {mesh.elements[e].tolist()}"
             )
     used = mask_of(mesh.elements, mesh.n_nodes)
@@ -99,7 +99,7 @@ def _check_elements(mesh: MeshArrays) -> None:
         i = int(np.argmin(used))
         raise ValueError(
             f"{np.count_nonzero(~used)} of {mesh.n_nodes} nodes belong to no element; node {i} at "
-            f"{_at(mesh.points[i : i + 1])}; leave them out and renumber"
+            f"{_place_of(mesh.points[i : i + 1])}; leave them out and renumber"
         )
 
 
@@ -113,7 +113,7 @@ def _check_closed(mesh: MeshArrays, table: FacetTable) -> None:
             facet = facets[int(np.argmax(bad))]
             raise ValueError(
                 f"{np.count_nonzero(bad)} {what}; one with nodes {facet.tolist()} at "
-                f"{_at(mesh.points[facet])}"
+                f"{_place_of(mesh.points[facet])}"
             )
 
     fail(
@@ -264,7 +264,7 @@ def check_overlap(mesh: MeshArrays) -> MeshArrays:
         if len(inside):
             raise ValueError(
                 f"the boundary of body {name!r} lies inside other elements of it at {len(inside)} places, "
-                f"one of them {_at(inside[:1])}: the body lies over itself (overlapping elements)"
+                f"one of them {_place_of(inside[:1])}: the body lies over itself (overlapping elements)"
             )
     return mesh
 

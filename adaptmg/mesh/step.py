@@ -68,7 +68,7 @@ def step_solids(domain: StepFile) -> dict[str, StepSolid]:
             "written"
         )
     named = [
-        _plain(
+        _without_dots(
             (product if not product.startswith(_NO_PRODUCT) else "")
             or solid_name
             or f"solid{i + 1}"
@@ -76,7 +76,7 @@ def step_solids(domain: StepFile) -> dict[str, StepSolid]:
         for i, (product, solid_name, _) in enumerate(solids)
     ]
     faces = [
-        [_plain(name or f"face{j + 1}") for j, name in enumerate(face_names)]
+        [_without_dots(name or f"face{j + 1}") for j, name in enumerate(face_names)]
         for *_, face_names in solids
     ]
     for name in (*named, *(name for face_names in faces for name in face_names)):
@@ -90,7 +90,8 @@ def step_solids(domain: StepFile) -> dict[str, StepSolid]:
     return {bodies[k][0]: StepSolid(domain, k, bodies[k][1]) for k in chosen}
 
 
-def _plain(name: str) -> str:
+def _without_dots(name: str) -> str:
+    """Return a name without dots, which separate bodies from boundaries."""
     return name.replace(".", "_")
 
 
@@ -101,11 +102,11 @@ def _chosen(
     names of its bodies, or as "name.2", the second of one name."""
     chosen: list[int] = []
     for entry in entries:
-        same = [k for k, name in enumerate(named) if name == _plain(entry)]
-        same = same or [k for k, name in enumerate(bodies) if name == _plain(entry)]
+        same = [k for k, name in enumerate(named) if name == _without_dots(entry)]
+        same = same or [k for k, name in enumerate(bodies) if name == _without_dots(entry)]
         base, _, number = entry.rpartition(".")
         if not same and number.isdecimal():
-            instances = [k for k, name in enumerate(named) if name == _plain(base)]
+            instances = [k for k, name in enumerate(named) if name == _without_dots(base)]
             same = instances[int(number) - 1 : int(number)] if int(number) else []
         if not same:
             raise ValueError(
@@ -308,7 +309,7 @@ def touching(
                 slack = reach + 0.05 * min(np.ptp(a.box, axis=0).max(), np.ptp(b.box, axis=0).max())
                 if (a.box[0] > b.box[1] + slack).any() or (b.box[0] > a.box[1] + slack).any():
                     continue
-                if _on(worker, a, b, solids[other], reach) or _on(
+                if _touches(worker, a, b, solids[other], reach) or _touches(
                     worker, b, a, solids[solid], reach
                 ):
                     names = [f"{solid}.{a.name}", f"{other}.{b.name}"]
@@ -361,7 +362,7 @@ def _face(shape: Shape, number: int, name: str, triangles: np.ndarray = _NONE) -
     )
 
 
-def _on(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: float) -> bool:
+def _touches(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: float) -> bool:
     """Return whether a triangle of a face lies on another face, of a solid, which looks the other
     way there."""
     from scipy.spatial import cKDTree  # a first solve without it starts sooner

@@ -97,7 +97,9 @@ def triangulated(
     # lay nodes along the boundary; again with smaller sizes next to thin parts until there are none
     wanted = field
     for _ in range(_PASSES):
-        places, facets, labels, elements, across = _laid(domain, field, growth, middle, scale)
+        places, facets, labels, elements, across = _first_triangles(
+            domain, field, growth, middle, scale
+        )
         feet, sizes = _thin_parts(places, elements, across)
         thin = sizes > wanted(feet) / _DEEPEST
         if not thin.any():
@@ -126,7 +128,7 @@ def triangulated(
     return _mesh(domain, points, elements, facets, labels)
 
 
-def _laid(
+def _first_triangles(
     domain: Outline,
     field: Callable[[np.ndarray], np.ndarray],
     growth: float | None,
@@ -335,7 +337,7 @@ def _filled(
             for _ in range(n):
                 if not _limit(points, elements[:n_elements], sizes, growth):
                     break
-        cells = _look(points, sizes, elements[:n_elements], n_read, settled)
+        cells = _unsettle_new(points, sizes, elements[:n_elements], n_read, settled)
         # triangles between nodes of a fine rim have its sizes, though those inside may be far larger: of
         # many cells they are read there, too
         if n_read > 0 and NODES_PER_CELL[2] * cells > MAX_NODES[2]:
@@ -434,7 +436,8 @@ def _next_place(points, elements, e, sizes, place):
     # the angle at c, (a - c) . (b - c) / ((a - c) x (b - c))
     away = 0.5 * (u * (u - x) + v * (v - y)) / (x * v - y * u)
     radius = np.sqrt(ab * (0.25 + away * away))
-    # the limit of the height; over sides longer than 2 h it would leave flat triangles
+    # the limit of the height: sqrt(3)/2 h, that of the equilateral triangle with side h; over sides
+    # longer than 2 h it would leave flat triangles
     h = 0.5 * (sizes[a] + sizes[b])
     if ab < 4.0 * h * h:
         away = min(away, h * np.sqrt(0.75 / ab))
@@ -479,7 +482,7 @@ def _interpolated(points, elements, t, p, sizes):
 
 
 @kernel
-def _look(points, sizes, elements, n_read, settled):
+def _unsettle_new(points, sizes, elements, n_read, settled):
     """Mark triangles with nodes from ``n_read`` on, whose sizes are new, as not ``settled``. Returns
     the integral of size^-2 over all triangles: the number of squares of that size."""
     cells = 0.0

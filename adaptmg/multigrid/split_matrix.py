@@ -598,7 +598,7 @@ def invert_block(dim, block, scale, result, at):
         result[at + a * dim + a] = 1.0
     for a in range(dim):
         pivot = block[a * dim + a]
-        if abs(pivot) <= 1e-10 * scale[a]:
+        if abs(pivot) <= 1e-10 * scale[a]:  # vanishes, up to rounding of the truncation
             for b in range(dim):
                 block[a * dim + b] = 0.0
                 block[b * dim + a] = 0.0

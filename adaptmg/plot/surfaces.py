@@ -259,6 +259,7 @@ def view_of(ax: Axes3D, corners: np.ndarray) -> None:
     chosen = _VIEWS[0]
     for view in _VIEWS:
         shown = float(areas @ np.maximum(normals @ viewer(*view), 0.0)) / float(areas.sum())
+        # a later view must show clearly more, so that similar bodies are seen from the same side
         if shown > 1.2 * best + 0.05:
             best = shown
             chosen = view

@@ -96,7 +96,7 @@ def natural_at_nodes(
 @kernel
 def _natural_residual(zero, diagonal, gap, reference, limit, friction, compliance, w, result):
     """Overwrite r = b - A w in ``result`` by D (prox_D(w + D^-1 r) - w), node by node; all arrays
-    are flat."""
+    are flat, ``zero`` is ZERO[dim]."""
     dim = np.uint64(len(zero))
     for node in range(len(gap)):
         k = np.uint64(node)

@@ -557,7 +557,7 @@ def _complete_change(state, gap, reference, limit, friction, compliance, terms, 
     """Complete ``change`` (n, 8), whose columns w, w_1, w_2 are given, by the columns p, y, v, q_1,
     q_2, the solution of the linearised equations (module) with the ``terms`` that they miss; return
     the longest step that keeps p, y >= 0, B >= |q_t| and v >= |tau|."""
-    longest = 1e30
+    longest = 1e30  # no limit
     for i in range(len(state)):
         node = _with_slip_and_bound(state, reference, limit, friction, i)
         w, t_1, t_2, p, y, v, q_1, q_2, b = node

@@ -37,8 +37,8 @@ def product(matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
 
 @kernel
 def _multiply(first, last, zero, indptr, indices, data, v, result):
-    """Write the rows of nodes first, ..., last - 1 of A v to ``result``; ``data`` are blocks, row by
-    row."""
+    """Write the rows of nodes first, ..., last - 1 of A v to ``result``; ``zero`` is ZERO[dim], ``data``
+    are blocks, row by row."""
     dim = np.uint64(len(zero))
     for i in range(np.uint64(first), np.uint64(last)):
         for a in range(dim):

@@ -281,12 +281,13 @@ def _fill(indptr, indices, data, label, offsets, held, projections, zero, sums, 
     aggregate with itself stands, transposed, in the last columns of its rows; only the half of it is
     added whose sum with its transpose is the block.
 
-    The half of the matrix up to the diagonal is read, row i by row i. ``sums`` (2, modes, dim), flat,
-    comes as 0, and has the columns of sum_j A_ij B_j: first with the sum over the nodes j of the
-    aggregate of i, then over those of another one, until a third aggregate follows in the row and
-    :func:`_project` adds B_i' times the columns to the band. Row a of a block A_ij is a force on node
-    j, whose work on the motions of j is entry a of each column; this spares products with B_j: 2.0 ms
-    for 66k nodes and 4.9 for 36k in 3D, with products 2.8 and 24."""
+    The half of the matrix up to the diagonal is read, row i by row i. ``zero`` is ZERO[dim].
+    ``sums`` (2, modes, dim), flat, comes as 0, and has the columns of sum_j A_ij B_j: first with the
+    sum over the nodes j of the aggregate of i, then over those of another one, until a third
+    aggregate follows in the row and :func:`_project` adds B_i' times the columns to the band. Row a
+    of a block A_ij is a force on node j, whose work on the motions of j is entry a of each column;
+    this spares products with B_j: 2.0 ms for 66k nodes and 4.9 for 36k in 3D, with products 2.8 and
+    24."""
     dim = np.uint64(len(zero))
     start_of_other = dim * dim * (dim + ONE) // TWO  # dim * modes: sums of the other aggregate
     ahead = np.int64(data.ctypes.data) + AHEAD
@@ -472,8 +473,9 @@ class _Smoothed(DenseSpan):
         matrix = sparse.csr_array(problem.matrix)
         basis = aggregates_of(problem).span(free.reshape(-1, dim)[:, :, None] * np.eye(dim))
         inverse = np.where(free, 1 / matrix.diagonal(), 0.0)
-        # damped Jacobi: ten power steps find the largest eigenvalue of D^-1 A nearly, a little too small,
-        # hence the factor 1.1. They begin at numbers without a pattern, the same in each run
+        # damped Jacobi with 4/3 over the largest eigenvalue of D^-1 A, as of smoothed aggregation: ten
+        # power steps find this nearly, a little too small, hence the factor 1.1. They begin at numbers
+        # without a pattern, the same in each run
         vector = np.where(free, np.sin(np.arange(len(free)) ** 2.0), 0.0)
         for _ in range(10):
             size = np.linalg.norm(vector)

@@ -108,7 +108,8 @@ class FrozenStatus:
 @kernel
 def _invert(zero, data, places, inverse):
     """Invert the symmetric blocks at some places by cofactors: .8 ms for 263k nodes. By numpy.linalg it
-    takes 38, which pays only if the result is stored, 32 bytes a node."""
+    takes 38, which pays only if the result is stored, 32 bytes a node. ``zero``, here and below, is
+    ZERO[dim]."""
     size = np.uint64(len(zero) ** 2)
     for k in range(len(places)):
         at = size * np.uint64(k)

@@ -426,7 +426,8 @@ def _motion_to_blame(
 ) -> np.ndarray:
     """Return the free motion (k,) that a message blames for unbalanced work, of which ``motion`` is
     one: if possible a motion along or about a coordinate axis; else one that opens contact, which
-    friction without a bound leaves; else the part of ``motion`` that slides."""
+    friction without a bound leaves; else the part of ``motion`` that slides, or ``motion`` itself if
+    the load does no work on this part."""
     on_axis = _unbalanced_axis_motion(body, forces, work)
     if on_axis is not None:
         return on_axis
@@ -472,6 +473,7 @@ def _free_axis_motions(body: _Body) -> np.ndarray:
     motions = np.stack(columns, axis=1)
     # the columns of body.motions are orthogonal, of length sqrt(n_nodes)
     coefficients = body.motions.T @ motions / len(body.nodes)
+    # those that are combinations of free motions, up to rounding
     free = np.abs(body.motions @ coefficients - motions).max(axis=0) <= 1e-8
     return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])
 

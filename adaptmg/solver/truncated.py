@@ -140,8 +140,9 @@ class TruncatedTest(StopTest):
 
     def _estimate(self) -> float:
         """Return the relative error after the last smoothing, from the energy of the last coarse
-        correction and the rate. A correction at rounding, as where nearly all nodes are held, has no
-        rate: there the residual stands for the error."""
+        correction and the rate; infinite if corrections do not fall. A correction at
+        rounding, as where nearly all nodes are held, has no rate: there the residual stands for the
+        error."""
         if self.size > 0 and self.change <= self.ROUNDING_LEVEL:
             # eight square bars of 16 to 128 cells a side that yield all but at their diagonals take 109
             # cycles, at half and twice, too, and 177 without; 24 other solves the same with all of these
@@ -156,8 +157,8 @@ class TruncatedTest(StopTest):
         return self.SAFETY * self.changes[-1] * rate / self.size  # rho eta_k
 
     def _ran_away(self) -> bool:
-        """Return whether the residual has grown, in N: the relative one stays small where reactions
-        grow with it."""
+        """Return whether the residual, in N, is a million times the first one. The relative residual
+        stays small where reactions grow with it."""
         return self._last_residual > 1e6 * max(self._first_residual, 1e-300)
 
 

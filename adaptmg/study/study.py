@@ -462,6 +462,7 @@ class Study:
     def _warn_of_changes(self, before: Fingerprint) -> None:
         """Warn of values that changed while runs went on in this process: rows depend on the order
         of the runs."""
+        # TypeError: a run has put a value in place that cannot be compared. The next call of run says so
         with contextlib.suppress(TypeError):
             changes = [
                 text

@@ -159,17 +159,17 @@ def between_levels(
     # for each contact boundary its slave nodes, and their rows of interpolation along the coarse one;
     # on lattices interpolation is that along their sides: .84 of the time of a hierarchy of 1089 nodes
     slave_rows = (
-        [_along(coarse, fine, *side) for side in zip(contact.names, slave_nodes, strict=True)]
+        [_rows_along(coarse, fine, *side) for side in zip(contact.names, slave_nodes, strict=True)]
         if on_lattices is None
         else [(nodes, nodal[nodes]) for nodes in slave_nodes]
     )
     for face, other in _crack_faces(fine, contact):
         nodal = with_contact_rows(
-            nodal, *_along(coarse, fine, face, _on_side(nodal, coarse, fine, face, other))
+            nodal, *_rows_along(coarse, fine, face, _on_side(nodal, coarse, fine, face, other))
         )
     if contact_rows and on_lattices is None:
         master_rows = [
-            _along(coarse, fine, name, fine.boundary_nodes(name))
+            _rows_along(coarse, fine, name, fine.boundary_nodes(name))
             for name in contact.masters
             if name
         ]
@@ -185,7 +185,7 @@ def between_levels(
         if contact.masters[k] or takes_over[contact.boundary == k].any():
             coarse_contact = coarse_problem.contact
             coarse_slaves = coarse_contact.nodes[coarse_contact.boundary == k]
-            rows = _among(coarse_slaves, rows, fine.points[nodes], coarse.points)
+            rows = _rows_on_side(coarse_slaves, rows, fine.points[nodes], coarse.points)
             surface = with_contact_rows(surface, nodes, rows)
         elif contact_rows and (limited := _limited_rows(coarse_problem, rows)) is not None:
             surface = with_contact_rows(surface, nodes, limited)
@@ -302,13 +302,14 @@ def _check_bodies(
         )
 
 
-def _along(
+def _rows_along(
     coarse: MeshArrays, fine: MeshArrays, boundary: str, nodes: np.ndarray
 ) -> tuple[np.ndarray, sparse.csr_array]:
+    """Return fine nodes (n,) on a boundary, and the rows (n, n_coarse) that interpolate along it."""
     return nodes, surface_interpolation(coarse, fine, coarse.boundary_facets(boundary), nodes)
 
 
-def _among(
+def _rows_on_side(
     known: np.ndarray, rows: sparse.csr_array, points: np.ndarray, coarse_points: np.ndarray
 ) -> sparse.csr_array:
     """Return the rows with entries in the columns ``known`` only and sums 1: scaled, or 1 at the
