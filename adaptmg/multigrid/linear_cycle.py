@@ -251,7 +251,7 @@ class LinearCycle:
             return level.solution
         passes = 0.0
         residual = load
-        sweeps_after = 2
+        sweeps_after = 2  # a symmetric sweep, where there is none before
         if smooth:
             passes = level.presmooth(load)
             residual = level.rest

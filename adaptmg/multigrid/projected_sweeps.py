@@ -330,6 +330,7 @@ def local(
         dof = dim * i
         before = read(u, dof, zero)
         if contact_of[i] >= 0:
+            # the force without the diagonal block: r + D u
             force = minus_times(
                 read(residual, dof, zero), diagonal, dim * dim * position, negative(before)
             )

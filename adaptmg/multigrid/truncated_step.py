@@ -176,6 +176,7 @@ class TruncatedStep:
         self._truncate(state.linearised)
         present = state.iterate, state.coarse_residual
         recombined = self._recombined(state, state.coarse_residual)
+        # the correction begins at the recombined iterate, if there is one; both are past iterates then
         newest = (present,) if recombined is None else (recombined, present)
         begin, coarse_residual = newest[0]
         iterate = begin.copy()
@@ -605,6 +606,7 @@ class CoarseContact:
         if not len(self.eliminated.contact):  # no coarse unknown moves a contact node
             return state
         levels = step.cycle.levels
+        # P'r, level by level, then the correction P e in the same way
         residual = state.residual
         for level in reversed(levels[self.number + 1 : step.number + 1]):
             restricted = np.zeros(level.below.matrix.n_dofs)

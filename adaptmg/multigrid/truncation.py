@@ -215,6 +215,8 @@ def _products(
 ) -> _ChangedBlocks:
     """Return the blocks of a level that changes of blocks at ``rows`` and ``columns`` of the finer
     level reach."""
+    # the block IJ of P'Delta P is the sum of P_iI P_jJ Delta_ij: each fine block has as many products as
+    # row i of P has entries, times those of row j
     entries = np.diff(nodal.indptr).astype(np.int64)
     n_products_at_most = int(entries[rows] @ entries[columns])
     source = np.empty(n_products_at_most, dtype=np.int32)

@@ -237,8 +237,8 @@ class _Method:
         gap, reference, limit, friction, _ = self.conditions
         has_obstacle = np.isfinite(gap)
         rough = (limit > 0) | (friction > 0)
-        # the springs act from the start on: their force belongs to the displacement w, over a gap, too.
-        # Where bodies overlap at the start, g_0 < 0, the overlap w - g_0 presses, with or without loads
+        # the springs hold w itself, also across a gap: spring * w is the force that they bear. Where
+        # bodies overlap at the start, g_0 < 0, the overlap w - g_0 presses, with or without loads
         pressures = (spring * np.maximum(state[:, 0], state[:, 0] - gap))[has_obstacle]
         gaps = (gap - state[:, 0])[has_obstacle]
         slips = np.linalg.norm(state[rough, 1:3] - reference[rough], axis=1)
@@ -269,6 +269,7 @@ class _Method:
         self.total, gap_error, length = _measure(self.state, *self.conditions)
         energy = max(float(self.unknowns @ product), self.least_energy)
         force_size = np.abs([self.load, product]).max(initial=0.0)
+        # of the products, of the gaps, and of the equilibrium
         slack = max(
             self.total / energy if energy > 0 else np.inf,
             gap_error / max(self.least_length, length),

@@ -474,7 +474,8 @@ def _weights_of_masters(
     force along it is in a row of its own."""
     contact = discrete.contact
     taken_over = contact.taken_over
-    # the coupling has -V in the columns of the nodes whose shares are taken over
+    # the coupling has -V in the columns of the nodes whose shares are taken over: V cancels it up to
+    # rounding
     weights = cast("Coupling", discrete.coupling).weights[contact.nodes]
     if taken_over.shape[1]:
         weights = sparse.csr_array(weights + taken_over)
@@ -487,7 +488,8 @@ def _weights_of_masters(
         along = np.einsum("nd,nd->n", tangents, forces[slaves])[:, None] * tangents
         parts[0][slaves] -= along
         rows.append(held_weights)
-        # the sum of the row of a contact node; that of the held weights is 1
+        # the row of a contact node has this sum, that of the held weights the sum 1: both then carry the
+        # same
         row_sums = 1 + taken_over[slaves].sum(axis=1)
         parts.append(row_sums[:, None] * along)
         boundaries.append(contact.boundary[slaves])

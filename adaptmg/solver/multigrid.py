@@ -255,7 +255,9 @@ CONDENSED = 6_000
 
 
 def handed_over(outcome: Outcome, hierarchy: Grids, run: Run) -> Outcome:
-    """Return the outcome; if it leaves cycles to another method, that of the other method."""
+    """Return the outcome; if it leaves cycles to another method, that of the other method: the active
+    set method if factors pay, and where that fails, too, or cannot be taken, the monotone correction,
+    or with volumes the truncated one on fewer levels."""
     problem = hierarchy.finest.discrete
     start = outcome.solution if outcome.better else None  # None: from zero
     if outcome.left and factorisable(problem):

@@ -439,7 +439,8 @@ class TruncatedRun:
             del start  # long vectors limit the size of a problem
             # no variable refers to the first state: the test may release its large arrays
             state, status = iterate(cycles.step, cycles.measure, cycles.step(first), stop, self.run)
-        # not where the residual is rounding, or the tolerance of the discretisation not known yet
+        # another method takes over, but neither where the residual is rounding nor where the tolerance,
+        # that of the discretisation, is not known yet
         failed = (
             status in (Status.STALLED, Status.DIVERGED) and stop.rtol > 0 and not stop.at_rest()
         )

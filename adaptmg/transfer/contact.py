@@ -510,15 +510,15 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
         return np.maximum(low, 0.0) + np.minimum(high, 0.0)
     size = np.hypot(slip[:, 0], slip[:, 1])
     coarse = np.repeat(np.arange(len(sets.main)), np.diff(sets.indptr))
-    # first of each column after sorting by length, and the first of equals
+    # ordered by length within each S_k: the first one is the shortest, of equals the first in S_k
     order = np.lexsort((size[sets.nodes], coarse))
     shortest = np.zeros(len(sets.main), dtype=np.int64)
     filled = sets.main >= 0
     shortest[filled] = sets.nodes[order[sets.indptr[:-1][filled]]]
     fine_slip = slip[sets.nodes]
-    best = slip[shortest[coarse]]
-    dot = fine_slip[:, 0] * best[:, 0] + fine_slip[:, 1] * best[:, 1]
-    cross = fine_slip[:, 0] * best[:, 1] - fine_slip[:, 1] * best[:, 0]
+    least_slip = slip[shortest[coarse]]
+    dot = fine_slip[:, 0] * least_slip[:, 0] + fine_slip[:, 1] * least_slip[:, 1]
+    cross = fine_slip[:, 0] * least_slip[:, 1] - fine_slip[:, 1] * least_slip[:, 0]
     turned = ~(dot > 0.0) | (
         np.abs(cross) > checks.SIX_DIGITS * (size[shortest[coarse]] * size[sets.nodes])
     )
