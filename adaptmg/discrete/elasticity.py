@@ -179,20 +179,24 @@ def _of_lattice(mesh: MeshArrays, material: Elastic, elements: str) -> sparse.bs
     reach. The coordinates there are exact, so that rows of the same kind have the same bits."""
     (counts,) = mesh.lattices
     reach = 1 if elements == "linear" else 2
-    few = tuple(min(n, 2 * reach) for n in counts)
-    unit = unit_lattice(few)
+    # with 2 reach cells along an axis the node in the middle has a row of the kind inside
+    few_counts = tuple(min(n, 2 * reach) for n in counts)
+    unit = unit_lattice(few_counts)
     cell = (mesh.points[-1] - mesh.points[0]) / counts
+    # the node of the kind inside lies at the origin, so that opposite neighbours have opposite coordinates
     sample = stiffness(replace(unit, points=(unit.points - reach) * cell), material, elements)
     # the node of the small lattice that has the row of each node
     kinds = np.zeros(1, dtype=np.int32)
-    for n, n_few, stride in zip(counts, few, strides_of(few), strict=True):
+    for n, n_few, stride in zip(counts, few_counts, strides_of(few_counts), strict=True):
         place = np.arange(n + 1, dtype=np.int32)
+        # within reach of the lower end the same place, of the upper end as far from it, else the middle
         place = np.minimum(place, np.maximum(reach, place - np.int32(n - n_few)))
         kinds = (place[:, None] * stride + kinds).reshape(-1)
-    # how far the columns are numbered from their rows
-    numbers = np.rint(unit.points @ strides_of(counts)).astype(np.int32)
+    # the numbers that nodes of the small lattice have in the large one with the same origin; a column minus its
+    # row is the same wherever the row is
+    large_numbers = np.rint(unit.points @ strides_of(counts)).astype(np.int32)
     row_lengths = np.diff(sample.indptr)
-    shifts = numbers[sample.indices] - np.repeat(numbers, row_lengths)
+    shifts = large_numbers[sample.indices] - np.repeat(large_numbers, row_lengths)
     indptr = np.zeros(mesh.n_nodes + 1, dtype=np.int64)
     np.cumsum(row_lengths[kinds], out=indptr[1:])
     indices = np.empty(indptr[-1], dtype=np.int32)
@@ -260,6 +264,7 @@ def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> Patches:
         spread = (at_points @ (rule[:, :, None] * rule[:, None]).reshape(len(rule), -1)).reshape(
             -1, corners
         )
+        # phi_a / r at the centroid, where the shape functions are 1/3
         hoops = np.repeat(1 / (3 * mean_radius), corners)
         measures = 2 * np.pi * mean_radius * measures
     return Patches(
@@ -280,11 +285,13 @@ def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> Patches:
     n, corners, dim = strain_rows.shape
     if axisymmetric:
         radius = mesh.points[mesh.elements, 0].mean(axis=1)
+        # phi_a / r at the centroid, where the shape functions are 1/3
         hoops = np.repeat(1 / (3 * radius), corners).reshape(n, corners, 1)
         strain_rows = np.concatenate([strain_rows, hoops], axis=2)
         measures = 2 * np.pi * radius * measures
-    # k V_e B_e = sum V_T B_T: the elements (n, n_nodes) have the slopes of their corners, and the hoop
-    # strain, as blocks of one row, and so have the edges (n_edges, n_nodes)
+    # k V_e B_e = sum V_T B_T: each of the k edges of an element T has the part V_T / k of its volume. The
+    # elements (n, n_nodes) have the slopes of their corners, and the hoop strain, as blocks of one row, and
+    # so have the edges (n_edges, n_nodes)
     weighted_rows = (measures[:, None, None] * strain_rows).reshape(n * corners, 1, -1)
     of_elements = sparse.bsr_array(
         (weighted_rows, mesh.elements.reshape(-1), corners * np.arange(n + 1)),
@@ -775,6 +782,7 @@ def rigid_body_modes(points: np.ndarray, nodes: np.ndarray | slice = ALL_NODES) 
         moments_of_axes, axes = np.linalg.eigh(moments)
     # sums of squares over all points, without the rotations of all
     turn_sizes = np.sqrt(np.maximum(np.trace(moments) - moments_of_axes, 0.0))
+    # of points on a line one rotation vanishes, up to rounding: QR puts another orthonormal mode there
     on_line = not turn_sizes.min() > checks.SIX_DIGITS * turn_sizes.max()
     turning = from_centroid if on_line else from_centroid[nodes]
     modes = np.zeros((len(turning), dim, dim + len(turn_sizes)))

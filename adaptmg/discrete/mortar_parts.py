@@ -227,6 +227,7 @@ def _pieces(
     ends = ends[order]
     counts = np.bincount(edge, minlength=len(surfaces.slave))
     starts = np.r_[0, np.cumsum(counts)]
+    # begins and ends of all parts, ascending along each slave edge: between two the nearest master is the same
     breaks = ends.ravel()[np.lexsort((ends.ravel(), np.repeat(edge, 2)))]
     room = 2 * len(edge)
     pieces = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty((room, 2))
@@ -284,8 +285,8 @@ def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.nda
     at whatever distance."""
     start, end = surfaces.master[facet].T
     slave = surfaces.slave[edge]
-    # the surfaces run in opposite directions, so that the master's end comes first; small parts at
-    # the ends of a slave edge are rounding
+    # the surfaces run in opposite directions, so that the master's end comes first; a begin or end within
+    # rounding of an end of the slave edge is put there
     parts = np.column_stack(
         [_projection(surfaces, slave, end), _projection(surfaces, slave, start)]
     )
@@ -628,7 +629,7 @@ def common_moments(slave, masters, start, below, above, moments):
             if sizes[i] > 0:
                 n_parts += 1
         tolerance = THIN * np.sqrt(area)
-        # then the moments of parts that nearer ones hide in part, anew, of what is left of them
+        # then the moments of parts that nearer ones hide in part: again, of what these leave visible
         for i in range(n if n_parts > 1 else 0):
             n_hiding = 0
             for j in range(n):

@@ -110,8 +110,8 @@ class LoadSteps:
         allowed = checks.ALIKE * np.abs(prescribed).max(initial=0.0)
         for hold in self.holds:
             moved = prescribed.reshape(-1, len(hold.direction))[hold.nodes] @ hold.direction
-            wanted = factors.get(hold.support.path_name, 1.0) * hold.values
-            differs = np.abs(moved - wanted) > allowed
+            expected = factors.get(hold.support.path_name, 1.0) * hold.values
+            differs = np.abs(moved - expected) > allowed
             if differs.any():
                 node = hold.nodes[np.argmax(differs)]
                 names = dict.fromkeys(

@@ -54,8 +54,9 @@ def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInte
     taken = None
     if not movable.all():  # on few meshes
         carries = mask_of(nodes[movable], mesh.n_nodes)
-        # u_j + sum E_ji w_i/w_j u_i and so for the gaps (adaptmg.discrete.posed): the nodes i, which
-        # carry no condition, follow as a master does, with the opposite sign
+        # the condition of node j takes over nodes i without one: it has u_j + sum_i V_ji u_i with the shares
+        # V_ji = E_ji w_i/w_j (adaptmg.discrete.posed), and g_j + sum_i V_ji g_i. A coupling W stands for
+        # u - W u, so that here W = -V
         taken = taken_over(surface, carries, problem.axisymmetric)
         taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[movable]])
         distances = distances + taken[:, nodes] @ gaps
@@ -216,6 +217,7 @@ def moved(
             facing_gaps[place] + taken @ facing_gaps,
         )
         normals[rows] = boundaries.free_part(contact.nodes[rows], scaled)
+        # the part of the normal that supports hold closes the gap by what they prescribe
         shift = prescribed[nodes[place]] + taken @ prescribed[nodes]
         gaps[rows] = distances - np.einsum("nd,nd->n", scaled - normals[rows], shift)
         motion = obstacle.motion(points) - before[k].motion(points)

@@ -126,7 +126,7 @@ class InelasticBodies:
         strain = (self.strains @ problem.physical(displacement).reshape(-1)).reshape(-1, k)
         stress, tangent, state = self._material(strain, state)
         if self.bulk.any():
-            # without (K_b - K'_b) tr(eps) I, which acts on groups of nodes
+            # without (K_b - K'_b) tr(eps) I, which acts on the mean volume strains of groups of nodes
             stress[:, :3] -= (self.bulk * strain[:, :3].sum(axis=1))[:, None]
             tangent[:, :3, :3] -= self.bulk[:, None, None]
         # f - f_int = f - K u + sum V B' rho, rho = C B u - sigma
@@ -138,7 +138,7 @@ class InelasticBodies:
         missed = elastic + problem.relative_forces(forces)
         return Response(displacement, stress, tangent, state, missed)
 
-    def linearised(self, problem: DiscreteProblem, at: Response) -> DiscreteProblem:
+    def linearised(self, problem: DiscreteProblem, response: Response) -> DiscreteProblem:
         """Return the contact problem whose bodies have the tangent at a response."""
         posed = self.posed
         matrix = supported_stiffness(
@@ -146,11 +146,11 @@ class InelasticBodies:
             posed.materials,
             posed.problem.supports,
             posed.problem.elements,
-            Tangents(self.numbers, at.tangent, self.volumes),
+            Tangents(self.numbers, response.tangent, self.volumes),
         )
         if problem.coupling is not None:
             matrix = problem.coupling.transformed(matrix)
-        load = matrix @ at.displacement + at.missed  # f + K_t u - f_int(u)
+        load = matrix @ response.displacement + response.missed  # f + K_t u - f_int(u)
         parts = {
             "matrix": matrix,
             "load": load,
@@ -191,14 +191,14 @@ class InelasticBodies:
             )
         return stress, tangent, result
 
-    def result(self, problem: DiscreteProblem, at: Response, data: StressData) -> StressData:
+    def result(self, problem: DiscreteProblem, response: Response, data: StressData) -> StressData:
         """Return stress data with the stresses and plastic strains of a response."""
         mesh = self.posed.mesh
-        physical = problem.physical(at.displacement)
+        physical = problem.physical(response.displacement)
         k = self.elastic.shape[1]
         strain = (self.strains @ physical.reshape(-1)).reshape(-1, k)
         volume_strain = strain[:, :3].sum(axis=1)
-        whole_stress = at.stress.copy()
+        whole_stress = response.stress.copy()
         whole_stress[:, :3] += (self.bulk * volume_strain)[:, None]
         stiffness = self.elastic.copy()
         stiffness[:, :3, :3] += self.bulk[:, None, None]
@@ -207,7 +207,7 @@ class InelasticBodies:
         plastic[:, 3:] *= 0.5  # components of tensors, not angles
         inelastic = inelastic_bodies(self.posed.materials)[mesh.element_body]
         stress = data.tensors(mesh, physical)
-        stress[inelastic] = as_tensors(self._of_elements(at.stress)[inelastic])
+        stress[inelastic] = as_tensors(self._of_elements(response.stress)[inelastic])
         # groups of nodes bear the rest of the pressure, kappa times their mean volume strain b u
         if len(self.groups):
             pressures = self.groups.strains(physical.reshape(-1)) / self.groups.compliance
@@ -215,11 +215,11 @@ class InelasticBodies:
                 3
             )
         plastic_state = PlasticState(
-            state=at.state,
+            state=response.state,
             stress=stress,
             strain=as_tensors(self._of_elements(plastic)),
             # the last number of a state of Plastic is the accumulated plastic strain
-            accumulated=self._of_elements(at.state[:, -1:])[:, 0],
+            accumulated=self._of_elements(response.state[:, -1:])[:, 0],
         )
         return replace(data, plastic=plastic_state)
 

@@ -167,6 +167,7 @@ class Posed(Boundaries):
             unassigned &= ~fixed
             result[name] = np.flatnonzero(fixed), values[fixed]
         dofs = dofs_of(self.inclined.nodes, self.mesh.dim)
+        # dofs and values along inclined directions, appended to those along axes
         for name, part in self.inclined.moved.items():
             result[name] = tuple(map(np.append, result[name], (dofs, part.reshape(-1))))
         # jumps of periodic sides, along what supports leave free

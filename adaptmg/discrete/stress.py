@@ -250,9 +250,11 @@ class StressData:
         hoop = hoop_strain(mesh, u)
         radii = mesh.points[mesh.elements, 0] @ rule.T
         # u_r / r less its mean, and half of 2 pi r C_hoop times its square
-        rise = u[mesh.elements, 0] @ rule.T / radii - hoop[:, None]
+        variation = u[mesh.elements, 0] @ rule.T / radii - hoop[:, None]
         stiffness = self.of_elements(mesh).of_hoop()[:, 2] * mesh.volumes
-        return energy + np.pi * float(np.einsum("n,nq,q->", stiffness, radii * rise**2, weights))
+        return energy + np.pi * float(
+            np.einsum("n,nq,q->", stiffness, radii * variation**2, weights)
+        )
 
     def _elastic(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Return the strain minus initial strain; of plane stress without the strain through the thickness."""
@@ -405,6 +407,7 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     shared = sparse.coo_array(incidence[outer] @ transposed)
     weights = _add_extrapolated(nodal, points, outer, shared, inner, fits)
     nodal[weights > 0] /= weights[weights > 0, None]
+    # outer nodes without an inner neighbour, as at corners: the elements of all their neighbours
     corner_nodes = outer[weights[outer] == 0]
     wider_patches = incidence[corner_nodes] @ transposed @ incidence
     nodal[corner_nodes] = _fits(wider_patches, points[corner_nodes], centroids, values)[0][:, 0]

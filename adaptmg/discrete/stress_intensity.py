@@ -297,7 +297,7 @@ class _Fields:
         tip = self.tip
         shear = self.shear
         ratio = shear / (self.lame + shear)  # 0 of incompressible bodies
-        kolosov = 1 + 2 * ratio  # kappa, and E' = 8 mu / (kappa + 1)
+        kolosov = 1 + 2 * ratio  # kappa, 3 - 4 nu in plane strain; E' = 8 mu / (kappa + 1)
         modulus = 4 * shear / (1 + ratio)
         place = tip.local(mesh.points)
         # 1 up to half of the radius, then linear to 0
@@ -350,6 +350,8 @@ def _near_field(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the stresses (..., 2, 2) of K_I + i K_II, the derivative of the displacement along the crack
     (..., 2) and that of the stresses (..., 2, 2)."""
+    # phi_1, phi_2, psi_1 are phi', phi'', psi' of the module, phi''' = -1.5 phi'' / z, psi'' = -0.5 psi' / z;
+    # 2 mu u = kappa phi - z conj(phi') - conj(psi)
     a = np.conj(factor) / np.sqrt(8 * np.pi)
     phi_1 = a / np.sqrt(z)
     psi_1 = (np.conj(a) - 0.5 * a) / np.sqrt(z)
@@ -367,7 +369,8 @@ def _near_field(
 
 
 def _stress(mean: np.ndarray, difference: np.ndarray) -> np.ndarray:
-    """Return the stresses (..., 2, 2) of phi' and of conj(z) phi'' + psi'."""
+    """Return the stresses (..., 2, 2) of ``mean`` = phi' and ``difference`` = conj(z) phi'' + psi':
+    sigma_11 + sigma_22 = 4 Re phi', sigma_22 - sigma_11 + 2 i sigma_12 = 2 (conj(z) phi'' + psi')."""
     twice = 2 * np.real(mean)
     real = np.real(difference)
     imaginary = np.imag(difference)

@@ -145,6 +145,7 @@ def _periodic(
             f"lies {distances[i]:.3g} m off. Take a structured mesh, or one with sides made alike"
         )
     held = boundaries.held_spans(slave)
+    # what supports hold of a node without holding it of its partner
     held_alone = np.abs(held - held @ boundaries.held_spans(master[partner])).max(axis=(1, 2))
     if held_alone.max() > checks.SIX_DIGITS:
         i = int(np.argmax(held_alone))
@@ -183,7 +184,7 @@ def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
         spans = problem.held_spans(tied)
         # lambda on the slave, without what supports hold of it, and -W' lambda on the master
         slave_forces = nodal[tied] - np.einsum("nij,nj->ni", spans, nodal[tied])
-        # ties are rows of a coupling
+        # W: the nodes that tied nodes face, with their weights
         rows = sparse.csr_array(cast("Coupling", problem.coupling).weights[tied])
         facing_nodes = np.unique(rows.indices)
         nodes += [tied, facing_nodes]

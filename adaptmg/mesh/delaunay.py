@@ -187,15 +187,15 @@ def _swap(elements, across, e, k):
     c = np.int64(elements[e, (k + 2) % 3])
     m = _opposite(elements, f, b, c)
     d = np.int64(elements[f, m])
-    beside_b = np.int64(across[e, (k + 2) % 3])
-    beside_c = np.int64(across[e, (k + 1) % 3])
-    over_b = np.int64(across[f, (m + 1) % 3])
-    over_c = np.int64(across[f, (m + 2) % 3])
-    # neighbours beyond a b (beside_b), c a (beside_c), b d (over_b), d c (over_c), as f = (d, c, b)
-    _place(elements, across, e, a, b, d, over_b, f, beside_b)
-    _place(elements, across, f, a, d, c, over_c, beside_c, e)
-    _replace_neighbour(across, over_b, f, e)
-    _replace_neighbour(across, beside_c, e, f)
+    over_ab = np.int64(across[e, (k + 2) % 3])
+    over_ca = np.int64(across[e, (k + 1) % 3])
+    over_bd = np.int64(across[f, (m + 1) % 3])
+    over_dc = np.int64(across[f, (m + 2) % 3])
+    # neighbours beyond the four sides, as f = (d, c, b)
+    _place(elements, across, e, a, b, d, over_bd, f, over_ab)
+    _place(elements, across, f, a, d, c, over_dc, over_ca, e)
+    _replace_neighbour(across, over_bd, f, e)
+    _replace_neighbour(across, over_ca, e, f)
 
 
 @kernel
@@ -441,6 +441,6 @@ def _force(points, elements, across, start, tails, heads, begin, end, triangle_o
                 break
         if node != b:
             missing[edge] = True
-            # so is an edge that begins at the node in the way; none begins at a corner of the box
+            # so is the first edge that begins at the node in the way; none begins at a corner of the box
             if 0 <= node < len(start) - 1 and start[node] < start[node + 1]:
                 missing[start[node]] = True

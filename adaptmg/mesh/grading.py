@@ -266,8 +266,8 @@ def _cells(domain: Box, field: SizeField) -> MeshArrays:
     counts = np.ceil(np.maximum(1, sides / side - 1 / 4)).astype(int)
     longest = np.argmax(sides)
     if counts[longest] > 3 and counts[longest] % 2 == 0:
-        # odd: the cells of a size and of half of it are not nested, as no two meshes of other domains
-        # are
+        # an odd number: cells of a size and of half of it are then not nested, as meshes of other domains are
+        # not. Of two cells a third would be too many
         counts[longest] += 1
     cell = sides / counts
     if cell.max() > _FLATTEST * cell.min():

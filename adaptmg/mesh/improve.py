@@ -84,19 +84,19 @@ def refined_draft(
     for _ in range(3 * MAX_BISECTIONS):
         field_at_nodes = field(mesh)
         n_old = mesh.n_nodes
-        wanted = field_at_nodes[mesh.elements].mean(axis=1)
-        wanted_of_facets = field_at_nodes[mesh.facets].mean(axis=1)
-        excess = equilateral_sizes(mesh.points, mesh.elements) / wanted
+        field_on_elements = field_at_nodes[mesh.elements].mean(axis=1)
+        field_on_facets = field_at_nodes[mesh.facets].mean(axis=1)
+        excess = equilateral_sizes(mesh.points, mesh.elements) / field_on_elements
         large = excess > TOO_LARGE
-        facet_excess = equilateral_sizes(mesh.points, mesh.facets) / wanted_of_facets
+        facet_excess = equilateral_sizes(mesh.points, mesh.facets) / field_on_facets
         large_facets = facet_excess > TOO_LARGE
         if not (large.any() or large_facets.any()):
             mesh = improved(mesh, _ROUNDS)
             # flat elements that go through a whole body are small by their volume
-            large = overlong(mesh, wanted)
+            large = overlong(mesh, field_on_elements)
             if not large.any():
                 return mesh
-        refuse_too_many(expected_nodes(mesh, wanted), domain)
+        refuse_too_many(expected_nodes(mesh, field_on_elements), domain)
         if np.median(excess) > 2 * TOO_LARGE:
             # most are too large even when all edges are halved
             mesh = halved(mesh)
@@ -342,7 +342,7 @@ def _move_nodes(zero, points, cells, start, items, held, begin, end, measures):
             _add_derivatives(zero, spokes, measure, shape, total, normal, step, hessian)
         if not _solve(zero, hessian, step):
             continue
-        # a Newton step, halved until the sum falls and every element keeps enough of its measure
+        # a Newton step x - H^-1 g, halved until the sum falls and every element keeps enough of its measure
         share = -1.0
         for _ in range(5):
             after = 0.0

@@ -137,8 +137,10 @@ def _moved(
     surfaces = [surface for side in sides for surface in side.surfaces]
     near = _ROUNDING * float(np.ptp(points, axis=0).max())
     for level in range(1, int(depth.max()) + 1):
-        these = np.flatnonzero(depth[n_old:] == level) + n_old
-        points[these] = 0.5 * (points[parents[these, 0]] + points[parents[these, 1]])
+        nodes_of_level = np.flatnonzero(depth[n_old:] == level) + n_old
+        points[nodes_of_level] = 0.5 * (
+            points[parents[nodes_of_level, 0]] + points[parents[nodes_of_level, 1]]
+        )
         # numbers of the two surfaces of each node; of a node on one side twice the same, so that a
         # second side overwrites the second number
         surfaces_of_node = np.full((len(points), 2), -1)

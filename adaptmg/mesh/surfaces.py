@@ -193,7 +193,7 @@ def nearest(
     if not len(corners):
         return number
     best = np.full(len(corners), near * np.linalg.norm(np.ptp(corners, axis=(0, 1))))
-    # planes first: what lies on two is rather straight
+    # planes first: a curved surface is taken only where it fits better by more than rounding
     for k in sorted(range(len(surfaces)), key=lambda k: not surfaces[k].plane):
         surface = surfaces[k]
         # the largest distance of a corner
@@ -240,6 +240,7 @@ def _plane(_points: np.ndarray, normals: np.ndarray) -> Revolved:
 def _round(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the centre and signed radius of the circle or sphere with the normals: points = centre +
     radius * normals."""
+    # least squares for the radius, in which the centre does not matter
     spread = normals - normals.mean(axis=0)
     radius = float(
         (spread * (points - points.mean(axis=0))).sum() / max(np.square(spread).sum(), 1e-300)
@@ -253,7 +254,7 @@ def _sphere(points: np.ndarray, normals: np.ndarray) -> Revolved:
 
 
 def _cylinder(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
-    axis = np.linalg.svd(normals)[2][-1]
+    axis = np.linalg.svd(normals)[2][-1]  # the direction that is normal to all normals
     if np.abs(normals @ axis).max() > checks.ALIKE:
         return None
     centre, radius = _round(points - np.outer(points @ axis, axis), normals)

@@ -257,7 +257,7 @@ def _spaced(
     integral of ds / h from one to the next is the same, about 1."""
     edges = domain.edges
     lengths = domain.lengths
-    # intervals (``at``, fractions) are halved until each is shorter than the sizes at its ends
+    # the intervals between fractions ``at`` are halved until each is shorter than the sizes at its ends
     at = [np.linspace(0.0, 1.0, _INTERVALS + 1)] * len(edges)
     for _ in range(MAX_BISECTIONS):
         sizes = np.split(
@@ -283,9 +283,9 @@ def _spaced(
     fractions = []
     for t, h, length in zip(at, sizes, lengths, strict=True):
         # the integral of ds / h up to each fraction, by the trapezoidal rule
-        passed = np.append(0.0, np.cumsum(0.5 * length * np.diff(t) * (1 / h[1:] + 1 / h[:-1])))
-        n = max(1, round(float(passed[-1])))
-        fractions.append(np.interp(np.arange(n) * (passed[-1] / n), passed, t))
+        integral = np.append(0.0, np.cumsum(0.5 * length * np.diff(t) * (1 / h[1:] + 1 / h[:-1])))
+        n = max(1, round(float(integral[-1])))
+        fractions.append(np.interp(np.arange(n) * (integral[-1] / n), integral, t))
     return fractions
 
 
@@ -423,7 +423,7 @@ def _next_place(points, elements, e, sizes, place):
     ab = (points[b, 0] - points[a, 0]) ** 2 + (points[b, 1] - points[a, 1]) ** 2
     bc = (points[c, 0] - points[b, 0]) ** 2 + (points[c, 1] - points[b, 1]) ** 2
     ca = (points[a, 0] - points[c, 0]) ** 2 + (points[a, 1] - points[c, 1]) ** 2
-    # a b becomes the shortest side
+    # the corners are named so that a b becomes the shortest side, in the same sense of rotation
     if bc < ab and bc <= ca:
         a, b, c, ab = b, c, a, bc
     elif ca < ab:
