@@ -316,7 +316,10 @@ class Hierarchy(Grids):
         started, compiled = begin
         if isinstance(problem, ContactProblem):
             problem = Posed.of(problem, meshes[-1]).problem
-            for message in (*_elsewhere(problem, meshes[-1]), *_overlaps(problem, meshes[-1])):
+            for message in (
+                *_notes_on_extent(problem, meshes[-1]),
+                *_overlaps(problem, meshes[-1]),
+            ):
                 warn_user(message)
         checks.flag("contact_rows", contact_rows)
         builder = the_transfer(transfer)
@@ -485,7 +488,7 @@ def _exchanged(problem: ContactProblem) -> list[frozenset[str]]:
     ]
 
 
-def _elsewhere(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
+def _notes_on_extent(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     """Return a message if the mesh is not one of the domain; chords of arcs may miss it a little."""
     if not hasattr(problem.domain, "lower") or mesh.dim != problem.dim:  # no domain, or a STEP file
         return []
@@ -496,7 +499,7 @@ def _elsewhere(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     extent = np.ptp(domain_box, axis=0).max()
     beyond = np.abs(mesh_box - domain_box)
     if problem.domain.loose_box:
-        # the body may be a part of the box, but not a thousandth of it
+        # the body may be a part of the box; below a hundredth of it lengths have other units
         is_part = np.ptp(mesh_box, axis=0).max() > 0.01 * extent
         outwards = (mesh_box - domain_box) * [[-1.0], [1.0]]
         beyond = np.maximum(outwards, 0.0 if is_part else beyond)

@@ -126,8 +126,9 @@ def spread(
 def curved(
     mesh: MeshArrays, sides: tuple[Surface, Surface], exact: Sequence[Sequence[Revolved] | None]
 ) -> tuple[Surface, Surface]:
-    """Return slave and master with their exact surfaces, if both are known: where chords of both sides
-    match, their heights cancel, so that exact distances to one side alone would be gaps."""
+    """Return slave and master with their exact surfaces, if both are known and not both plane, else
+    unchanged: where chords of both sides match, their heights cancel, so that exact distances to one
+    side alone would be gaps."""
     slave, master = exact
     if not slave or not master or all(surface.plane for surface in (*slave, *master)):
         return sides

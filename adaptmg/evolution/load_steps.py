@@ -166,8 +166,9 @@ def step_outcome(
     run: Run,
     past: Past,
 ) -> tuple[Outcome, TruncatedRun | None, list[np.ndarray] | None]:
-    """Solve a step by its extrapolation; where this is not accurate, as :func:`resumed` does, or with
-    other solvers, :func:`restarted`."""
+    """Solve a step as :func:`resumed` does, or :func:`restarted` with other solvers than truncated
+    multigrid. Before it, the extrapolation is taken if it is accurate enough; it is tried with
+    truncated multigrid, and with an ActiveSet that repeats the last loads."""
     is_truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
     # an ActiveSet that repeats the loads would find no slip, and so no direction for friction at its bound,
     # and its Newton steps may cycle: the old solution comes first

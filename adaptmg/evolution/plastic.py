@@ -99,8 +99,8 @@ class PlasticLoop(PathLoop):
         }
 
     def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
-        """Solve step k, as a whole or, where Newton's method fails, in increments of its loads, which are
-        halved until they are solved."""
+        """Solve step k, as a whole or, where Newton's method fails, in increments of its loads. They are
+        halved until they are solved, at most to _SMALLEST; then the result says that it failed."""
         solved_share = 0.0
         increment = 1.0
         while True:

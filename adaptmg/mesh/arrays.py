@@ -172,8 +172,8 @@ class MeshArrays:
         )
 
     def _repr_svg_(self) -> str | None:
-        """Draw the edges of a plane mesh, or those on the surface of a solid one; None where they
-        are too many."""
+        """Draw the edges of a plane mesh, or, of a large one and of a solid, those of the boundary; None
+        where these are too many."""
         cells = self.elements if self.dim == 2 and len(self.elements) <= _MANY else self.facets
         # every pair of corners of a cell is an edge
         ends = np.concatenate([cells[:, [a, b]] for a in range(cells.shape[1]) for b in range(a)])

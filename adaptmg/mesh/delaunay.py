@@ -223,8 +223,8 @@ def swap_all(points, elements, across, suspect):
 @inner_kernel
 def walk(points, elements, across, e, p):
     """Return the triangle that holds node p, on the straight way from triangle e; -1 if that leaves
-    the mesh. In a Delaunay triangulation no triangle comes twice: the power of p with respect to
-    their circles falls."""
+    the mesh, or passes more triangles than there are. In a Delaunay triangulation no triangle comes
+    twice: the power of p with respect to their circles falls."""
     for _ in range(len(elements)):
         # leave across the side that has p farthest on its outer side
         worst = 0.0

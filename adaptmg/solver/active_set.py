@@ -323,8 +323,8 @@ class _Newton:
         )
 
     def step(self, state: _NewtonState) -> _NewtonState:
-        """Return the state after a Newton step, or where a status comes back or the equations are
-        singular the state at an interior point."""
+        """Return the state after a Newton step. Where a status comes back, the equations are singular, or
+        LONG steps have not ended the iteration, return the state at an interior point."""
         key = state.equations.key
         change = None
         # the same status twice in a row is convergence, an earlier one a cycle

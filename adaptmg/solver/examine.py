@@ -554,8 +554,8 @@ class Sizes:
     def nothing_strains(self, contact: float, rounding: float, unknowns: np.ndarray) -> bool:
         """Return whether supports move the bodies, and nothing strains or holds them: all forces are
         rounding, except loads at nodes that a support holds. ``contact`` is the norm of the contact
-        forces, N. Diverged unknowns may have such forces, too, but they move further than the
-        supports do."""
+        forces, N. Diverged unknowns may have such forces, too, but they move more than ten times
+        as far as the supports do."""
         if not self.prescribed:
             return False
         internal = euclidean_norm(self._in_supports(unknowns))

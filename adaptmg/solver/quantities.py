@@ -387,8 +387,9 @@ class Quantities:
         return boundary in names or (boundary == "contact" and bool(self.contact.names))
 
     def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return nodes and the forces on them: of contact and ties, or elsewhere of supports without
-        springs (a corner node may have both)."""
+        """Return the nodes of a boundary and the forces on them: those of contact, and of ties with it,
+        if the boundary has contact; else those of ties; else those of supports without springs. At a
+        corner a node may bear forces of both contact and a support."""
         if self._touches(boundary):
             return self._contact_forces(boundary)
         if self.ties is not None and boundary in self.ties.names:

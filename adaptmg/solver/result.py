@@ -328,7 +328,9 @@ _OF_ASSEMBLY = {"stiffness", "loads", "measures", "bodies", "stresses"}
 
 
 def _remedy(result: Result, violated: tuple[str, ...]) -> str:
-    """Return the advice of a status; if the active set method has failed, it names another method."""
+    """Return the advice for a result that has not converged: for plastic bodies, for forces that the
+    assembled matrices miss, else that of its status; if the active set method has failed, it names
+    another method."""
     if result.stress_data is not None and result.stress_data.plastic is not None:
         return (
             "the plastic bodies may bear no more than a part of this load: give hardening, or prescribe "

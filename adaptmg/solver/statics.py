@@ -79,9 +79,10 @@ def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, 
 
 
 def check_statics_of(grids: Grids) -> None:
-    """Call :func:`check_statics` on the coarsest level, and on the finest one only if that fails. A
-    coarse grid has the same rigid motions, loads and directions of contact and costs nothing; on a
-    curved surface the finest may hold a motion that the coarsest does not."""
+    """Call :func:`check_statics` on the coarsest level, and on the finest one only if that fails, if
+    there are springs, or if the coarsest does not know its rigid motions. A coarse grid has the same
+    rigid motions, loads and directions of contact and costs nothing; on a curved surface the finest
+    may hold a motion that the coarsest does not."""
     coarsest = grids[0].discrete_or_none
     # a spring may count at nodes of a coarse grid, and be too soft at those of a finer one
     sprung = grids.problem is not None and any(
@@ -540,8 +541,8 @@ _SMALL, _SMALL_CONTACT = 1500, 200
 
 @remembered_of_structure
 def critical_friction(problem: DiscreteProblem) -> np.ndarray:
-    """Return the critical coefficient of each contact node if it touches alone; NaN for bodies that
-    contact holds."""
+    """Return the critical coefficient of each contact node if it touches alone, infinite at nodes that
+    supports hold in part; NaN for bodies that contact holds."""
     dim = problem.dim
     n = len(problem.contact)
     condensed = condense_problem(problem, lenient=True)

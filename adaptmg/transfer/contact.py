@@ -421,7 +421,7 @@ def smallest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
 
 def largest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     """Return the paper's bound read literally ('smallest u_n'): max over S_k; as
-    :func:`smallest_gap`. Stalls or cycles.
+    :func:`smallest_gap`. Iterations with it stall or cycle.
 
     Examples
     --------
