@@ -18,10 +18,10 @@ of a displacement is that of A,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, wraps
-from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar, get_args
+from functools import cache, cached_property
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from scipy import sparse
@@ -41,9 +41,6 @@ from adaptmg.problem.loads import (
     times,
 )
 
-Value = TypeVar("Value")
-Others = ParamSpec("Others")
-
 
 class EnergyTerms(NamedTuple):
     """The terms that u'Au lacks of twice the energy of the stresses of a displacement u: this is u'Au -
@@ -54,20 +51,6 @@ class EnergyTerms(NamedTuple):
 
     load: np.ndarray  # (n_dofs,), N
     constant: float  # N m
-
-
-def _identity_without_nodes(
-    method: Callable[Concatenate[Inclined, Value, Others], Value],
-) -> Callable[Concatenate[Inclined, Value, Others], Value]:
-    """Make a method return its first argument, not copied, where no support is inclined."""
-
-    @wraps(method)
-    def changing(
-        self: Inclined, value: Value, *others: Others.args, **named: Others.kwargs
-    ) -> Value:
-        return method(self, value, *others, **named) if len(self) else value
-
-    return changing
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +92,11 @@ class Inclined:
         """Return a vector (n_dofs,) without its parts along the directions that are held."""
         return self.remove_held(vector.copy())
 
-    @_identity_without_nodes
     def remove_held(self, vector: np.ndarray) -> np.ndarray:
         """Remove from a vector (n_dofs,), in place, its parts along the directions that are held, and
         return it."""
-        vector.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
+        if len(self):  # 14 us with no nodes
+            vector.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
         return vector
 
     def along(self, vector: np.ndarray) -> np.ndarray:
@@ -122,10 +105,11 @@ class Inclined:
             "nij,nj->ni", self.spans, vector.reshape(-1, self.spans.shape[1])[self.nodes]
         )
 
-    @_identity_without_nodes
     def of_problem(self, parts: dict[str, Any]) -> dict[str, Any]:
         """Return the parts of a problem, in relative coordinates, with these directions eliminated:
         the matrix A', the rows B (I - Z) of volumes, and the parts of :meth:`eliminate_prescribed`."""
+        if not len(self):
+            return parts
         matrix = parts["matrix"]
         size = matrix.blocksize
         n = matrix.shape[0]
@@ -149,7 +133,6 @@ class Inclined:
         }
         return supports.eliminate_prescribed(parts | changed)
 
-    @_identity_without_nodes
     def eliminate_prescribed(self, parts: dict[str, Any]) -> dict[str, Any]:
         """Return the parts of a problem, given for A, as A' takes them under the displacement ubar that
         supports prescribe along these directions (a part of ``fixed_values``). Changed are
@@ -157,6 +140,8 @@ class Inclined:
         - ``load``: b' in place of b, which ``inclined`` keeps,
         - ``volumes``: with the strain B ubar,
         - ``strain_free``: with the terms that u'A'u lacks of u'Au, unless ubar = 0."""
+        if not len(self):
+            return parts
         values = parts["fixed_values"]
         along = self.along(values)
         prescribed = values - self.free_part(values)  # ubar
@@ -180,12 +165,13 @@ class Inclined:
             "volumes": replace(volumes, prescribed=(self.volumes @ prescribed) / volumes.areas),
         }
 
-    @_identity_without_nodes
     def imbalance(
         self, residual: np.ndarray, unknowns: np.ndarray, prescribed: np.ndarray
     ) -> np.ndarray:
         """Return b - A u (n_dofs,), N, of the residual b' - A' u of unknowns u (n_dofs,), which need
         not be what supports prescribe (n_dofs,)."""
+        if not len(self):
+            return residual
         # (I - Z) (b - A u) = (I - Z) (b' - A'u + A Z (ubar - u)), and Z (b - A u)
         short_of_prescribed = self.along(prescribed - unknowns)
         forces = residual + self.rows.T @ short_of_prescribed.reshape(-1)

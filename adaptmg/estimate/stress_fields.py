@@ -418,11 +418,11 @@ def _tie_traction(
     forces[np.searchsorted(surface.nodes, ties.node[on_side])] = ties.force[on_side]
     mass = surface.lumped(axisymmetric)[surface.nodes, None]
     values = np.divide(forces, mass, out=np.zeros_like(forces), where=mass > 0)
-    known = n_sides == 1
+    has_traction = n_sides == 1
     is_slave = k % 2 == 0  # sides come in pairs of slave and master
     if is_slave:
-        known &= np.isin(surface.nodes, ties.node[on_side])
-    _fill(surface, known, values)
+        has_traction &= np.isin(surface.nodes, ties.node[on_side])
+    _fill(surface, has_traction, values)
     return values
 
 
