@@ -258,14 +258,14 @@ def discretised_level(posed: Posed) -> Level:
     return Level(assembled(posed), posed.mesh, posed=posed)
 
 
-#: unknowns up to which one solve takes the finest of several levels alone, by dimension. Seconds of hierarchy and solve
-#: over those by full multigrid: .57 to .72 in the plane (.83 and .94 at 882 and 1250 unknowns), .63 to .76 in space
-#: (.62 to 1.16 at 690 to 1029), scalar .71 to .81 (.89 at 270)
+#: unknowns up to which one solve takes the finest of several levels alone, by dimension. CPU seconds of hierarchy and
+#: solve over those by full multigrid: GRECO bar at 162 to 578 unknowns .56 to .78 (.89 and .99 at 882 and 1250), GRECO
+#: block at 375 .79 (.81 and 1.09 at 648 and 1029), twisted square bar at 81 and 169 .58 and .84 (.44 at 289)
 SMALL = {1: 200, 2: 600, 3: 500}
 
 
 def is_small(problem: DiscreteProblem) -> bool:
-    """Return whether the active set method solves a problem before multigrid has set up its levels; with
+    """Return whether the active set method is quicker than multigrid with the set-up of its levels; with
     pressures as unknowns it takes several solves."""
     return problem.n_dofs <= SMALL[problem.dim] and not len(problem.volumes)
 
