@@ -99,6 +99,8 @@ def _gmsh(mesh: MeshArrays, points: np.ndarray) -> bytes:
 
     dim = mesh.dim
     solid, face = (("triangle", "line"), ("tetra", "triangle"))[dim - 2]
+    # numbers of bodies and of boundaries: physical groups, whose names stand in ``names``. A file of
+    # this version needs geometrical numbers, too
     tags: list[ArrayLike] = [
         mesh.element_body.astype(np.int32) + 1,
         mesh.facet_labels.astype(np.int32) + 1,

@@ -140,6 +140,8 @@ def _table(
     open: bool = False,
     csv: str = "",
 ) -> dict[str, object]:
+    """Return a table as the page's template reads it, with its first ``LONGEST`` rows and the number
+    of all; ``open``: not folded; ``csv``: the name of a file for a link, "" for none."""
     checks.instance("table", frame, pd.DataFrame, "a pandas DataFrame")
     columns = columns_of(frame.head(LONGEST), units, formats)
     return {
@@ -490,7 +492,7 @@ def study_report(
     page = Report(str(table.attrs.get("study") or "Study"), f"{counted}. {summary}".strip())
 
     def add(frame: pd.DataFrame, caption: str, csv: str, open: bool = False) -> None:
-        # a table, with long texts cut short
+        """Add a table to the page, with long texts cut short."""
         frame = frame.copy()
         for name in frame.select_dtypes(exclude="number"):
             frame[name] = pd.Series(

@@ -409,6 +409,7 @@ class PaperCorrection:
         gap = {"smallest": smallest_gap, "largest": largest_gap, "injected": injected_gap}[
             self.gap
         ](reach, opening)
+        # functions, of which the chosen ones are called: first solutions may be missing
         slips = {
             "initial": lambda: cast("InitialContact", initial).slip,  # see needs_initial
             "injected": lambda: injected_slip(reach, slip),

@@ -217,6 +217,7 @@ def _draw_plane(
 
 
 def _draw_point_supports(posed: ContactProblem, mesh: MeshArrays, ax: Axes) -> None:
+    """Draw a triangle at each point that a support or a spring holds."""
     scale = _unit_scale(mesh)
     for support in posed.supports:
         if isinstance(support, loads.PointSupport | loads.PointSpring):
@@ -231,6 +232,7 @@ def _draw_point_supports(posed: ContactProblem, mesh: MeshArrays, ax: Axes) -> N
 
 
 def _draw_arrows(ax: Axes, tails: np.ndarray, vectors: np.ndarray) -> None:
+    """Draw plane arrows, in the unit of the axes; the limits of the axes contain them then."""
     ax.quiver(
         tails[:, 0],
         tails[:, 1],

@@ -282,6 +282,7 @@ class FreeBodies:
     @classmethod
     def of(cls, problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> FreeBodies:
         """Return those of a discretised problem."""
+        # contacts, then ties, as in the lists of the problem
         contact = discrete.contact
         slaves_and_masters = [
             *zip(contact.names, contact.masters, strict=True),

@@ -74,7 +74,8 @@ def method_argument(
 
 
 def _method(solver: Solver | Method | None, grids: Grids) -> tuple[Grids, Solver, str]:
-    """Return the solver, or the default for these grids."""
+    """Return the grids, the solver and the reason for it: those given, or the default for these grids,
+    which may leave out levels or make coarse spaces."""
     if solver is not None:
         if hasattr(solver, "setup") and not hasattr(solver, "run"):
             return grids, Stepped(cast("Method", solver)), ""

@@ -140,7 +140,7 @@ class Stepped:
     def step_on(
         self, levels: LocalLevels, number: int, unknowns: np.ndarray
     ) -> Callable[[State], State]:
-        """Return the step that the method sets up for the levels up to one, checked and counted."""
+        """Return the step that the method sets up for the levels up to ``number``, checked and counted."""
         hierarchy = levels.hierarchy
         run = levels.run
         finest = number == len(hierarchy) - 1

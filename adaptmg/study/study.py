@@ -531,6 +531,7 @@ def in_order(todo: dict[str, Stored], cost: Cost | None) -> dict[str, Stored]:
         )
 
     def cost_of(item: tuple[str, Stored]) -> float:
+        """Return the cost of a point, infinite where it is not known."""
         point, record = item[1]
         if callable(cost):
             return checks.number("cost", cost(dict(point)))

@@ -147,7 +147,8 @@ boundary misses the arc by less; different units, a shifted body or a missing pa
 
 
 def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
-    """Locate every fine node in the coarse elements of its body."""
+    """Locate every fine node in the coarse elements of its body; ValueError for one that lies outside by
+    more than ``OUTSIDE_TOLERANCE`` of an element."""
     locators = body_locators(coarse, fine)
     element = np.empty(fine.n_nodes, dtype=np.int32)
     weights = np.empty((fine.n_nodes, fine.dim + 1))
