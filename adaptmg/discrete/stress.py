@@ -141,6 +141,7 @@ class StressData:
     def locking(self) -> float:
         """Return the largest Poisson's ratio of bodies whose elements lock; 0 if none do."""
         ratios = self.lame / (2 * (self.lame + self.shear))
+        # a ratio of .45 itself, computed from Lame's constants, has rounding
         locked = (ratios > LOCKING + 1e-9) & (self.kind != _THIN) & (not self.smoothed)
         return float(ratios[locked].max(initial=0.0))
 

@@ -204,6 +204,7 @@ def _largest_radius(
     a turn, or elements of another material, a mask (n_elements,); ``r`` (n_nodes,) are the distances
     from the tip."""
     on_straight_crack = np.isin(mesh.facet_labels, list(map(mesh.boundaries.index, faces)))
+    # up to rounding, as the distance of the turn is one of these
     on_straight_crack &= (r[mesh.facets] <= tip.straight * (1 + 1e-9)).all(axis=1)
     distance = min(
         r[mesh.facets[~on_straight_crack]].min(initial=np.inf),

@@ -467,7 +467,7 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         slip_part += np.einsum("fij,fid,fjd->f", mass, traction, slip)
         elements = neighbours.owner[mesh.facet_labels == mesh.boundaries.index(name)]
         complementarity += np.bincount(elements, weights=open_part, minlength=len(complementarity))
-        # rounding may make a part negative
+        # the limit times |d| plus t . d is >= 0, as |t| is at most the limit; rounding may make it negative
         friction += np.bincount(
             elements, weights=np.maximum(slip_part, 0.0), minlength=len(friction)
         )

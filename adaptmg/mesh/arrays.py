@@ -489,7 +489,7 @@ def positive(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
     """Return the simplices with their last two corners exchanged where they are turned over."""
     negative = signed_measures(points, elements) < 0
     elements = np.array(elements)
-    elements[negative, -2:] = elements[negative, :-3:-1]
+    elements[negative, -2:] = elements[negative, :-3:-1]  # the last corner, then the one before it
     return elements
 
 
@@ -674,6 +674,7 @@ def doubled(sets: np.ndarray, nodes: np.ndarray, n: int) -> tuple[np.ndarray, np
     node = pairs % n
     is_further = np.ones(len(pairs), dtype=bool)
     is_further[np.unique(node, return_index=True)[1]] = False
+    # the first pair at a node keeps its number, the k-th further one of all gets n + k - 1
     number = np.where(is_further, n - 1 + np.cumsum(is_further), node)
     return number[pair_of_corner], node[is_further]
 

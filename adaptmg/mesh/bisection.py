@@ -313,9 +313,9 @@ def _sides(mesh: MeshArrays) -> np.ndarray:
     near = np.flatnonzero(sum(on[nodes] for nodes in mesh.elements.T) >= mesh.dim)
     keys = facet_keys(mesh.facets, mesh.n_nodes)
     order = np.argsort(keys)
-    wanted = facet_keys(element_facets(mesh.elements[near]).reshape(-1, mesh.dim), mesh.n_nodes)
-    facet = order[np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)]
-    result[near] = np.where(keys[facet] == wanted, facet, -1).reshape(len(near), -1)
+    side_keys = facet_keys(element_facets(mesh.elements[near]).reshape(-1, mesh.dim), mesh.n_nodes)
+    facet = order[np.minimum(np.searchsorted(keys[order], side_keys), len(keys) - 1)]
+    result[near] = np.where(keys[facet] == side_keys, facet, -1).reshape(len(near), -1)
     return result
 
 

@@ -174,12 +174,12 @@ def _plane_draft(
         ),
         domain,
     )
-    at: SizesAt = []
+    at: SizesAt = []  # sizes that Netgen gets, besides the largest one and those along boundaries
     options = {"maxh": size / scale, "grading": grading}
     sides = {name: h / scale for name, h in sides.items()}
     for rounds_left in range(rounds, -1, -1):
-        # the steps that improve shapes take most of the time: here only nodes and centroids are
-        # used
+        # the steps that improve shapes take most of the time: only the last mesh needs them, of the others
+        # only the centroids are used
         fast = {"optsteps2d": 0} if rounds_left else {}
         try:
             with netgen() as worker:
@@ -336,6 +336,7 @@ class SolidSizes:
                 [mesh.points[np.unique(facets)], mesh.points[facets].mean(axis=1)]
             )
             reach = max(self.size - self.near, 0.0) / self.grading
+            # beyond ``reach``, where the size does not fall below ``size``, distances are infinite
             away = cKDTree(places).query(points, distance_upper_bound=reach)[0]
             result = np.minimum(result, self.near + self.grading * away)
         return result
@@ -600,7 +601,7 @@ def _solid_draft(
         "grading": sizes.grading,
         "curvaturesafety": _CURVATURE,
     }
-    at: SizesAt = []
+    at: SizesAt = []  # sizes that Netgen gets, besides the largest one and those along boundaries
     for rounds_left in range(rounds, -1, -1):
         # of a draft only its sizes matter: optimising takes most of the time
         fast = {"optsteps3d": 0} if rounds_left else {}

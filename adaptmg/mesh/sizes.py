@@ -215,8 +215,9 @@ def guessed_nodes(
     near: float = 1.0,
     grading: float = 1.0,
 ) -> float:
-    """Return the number of nodes by a size along areas alone: the integral of (near + grading
-    x)^-dim over x > 0."""
+    """Return about how many nodes a mesh has whose sizes are ``size`` in a ``volume``, and near + grading
+    x at the distance x from ``areas``: those of volume / size^dim cells, plus areas times the integral of (near +
+    grading x)^-dim over x > 0."""
     with np.errstate(over="ignore", divide="ignore"):
         cells = volume * np.float64(1 / size) ** dim
         cells += areas / ((dim - 1) * grading) * np.float64(1 / near) ** (dim - 1)
@@ -280,8 +281,9 @@ def check_rims(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     follow these, and its area is that of the domain but for the parts they cut off; Unfit
     otherwise."""
     scale = float((domain.upper - domain.lower).max())
+    # rounding of the meshers, and of coordinates far from the origin
     rounded = checks.ALIKE * scale + 8 * np.spacing(np.abs(mesh.points).max())
-    cut_off = rounded * scale
+    cut_off = rounded * scale  # area between the edges and their chords, at most
     for name in mesh.boundaries:
         surface = mesh.surface(name)
         nodes = surface.nodes
