@@ -100,7 +100,7 @@ class Moduli:
         """Return columns (n_elements, k) of C times strains (n_elements, 3, 3); plane stress:
         without that of zz."""
         strain = columns(strain, self.table.shape[1])
-        if len(self.table) == 1:  # of 24k tetrahedra .05 ms
+        if len(self.table) == 1:  # .22 ms for 24 576 tetrahedra, by entries .92
             return strain @ self.table[0].T
         result = np.zeros(strain.shape)
         # isotropic tensors have a third of the entries

@@ -343,8 +343,8 @@ def test_supports_along_one_normal_that_part_in_a_path_are_refused(angle):
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("dim", [2, 3])
 def test_planes_that_move_at_an_angle_to_the_obstacle_compress_uniformly(dim, seed, elements, nu):
-    """A body under one pressure all around follows its guides and a plane obstacle, which move by
-    factors of their own and meet at any angle."""
+    """A body under one pressure all around follows its guides and a plane obstacle, each of which
+    moves by another factor; they meet at any angle."""
     meshes = [numbered_at_random(mesh, seed) for mesh in sheared(dim, seed)[:2]]
     young, pressure = 1e7, 1e3
     shrinks = pressure * (1 - 2 * nu) * (1 if dim == 3 else 1 + nu) / young
