@@ -441,6 +441,7 @@ class TruncatedStep:
         if not (state.past or state.uniform):
             return None
         dim = self.coarse.dim
+        # 1/d, of blocks the diagonals of their inverses; of pressures the factors of their energies
         weights = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
         weights = np.concatenate([weights, self.pressures.weights])
         # R_j - R_0 of the earlier iterates, then of uniform pressures, which are changes themselves

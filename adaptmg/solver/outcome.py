@@ -307,10 +307,11 @@ def _checked(outcome: Outcome, examined: Examined, solver: Solver | None) -> Out
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:
     """Return the status of a solver, unless the natural residual or the certificate contradicts it. With
-    the paper's test rtol is that of a change: the error is compared with the multiple that the
-    residual has."""
+    ``stop="change"``, the paper's test, rtol bounds a change and not the error: the error may then be
+    the multiple of rtol that residuals may be."""
     if not np.isfinite(residual):
         return Status.DIVERGED
+    # forces that balance but for rounding may leave as much as the certificate excuses
     line = checked["equilibrium"]
     rounding = checked.MOST_ROUNDING if line.relative <= line.rounding else StopTest.ROUNDING_LIMIT
     most = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, rounding)

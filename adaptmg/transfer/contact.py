@@ -390,7 +390,8 @@ def supports(P_cc: sparse.csr_array) -> Supports:
     columns.eliminate_zeros()
     n = columns.shape[1]
     coarse = np.repeat(np.arange(n), np.diff(columns.indptr))
-    # last of each column after sorting by weight, and the first of equals
+    # ordered by weight within each S_k, of equals the first one last: of several assignments to an entry
+    # of ``main`` the last one counts
     order = np.lexsort((-columns.indices, columns.data, coarse))
     main = np.full(n, -1, dtype=np.int64)
     main[coarse[order]] = columns.indices[order]
