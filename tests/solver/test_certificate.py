@@ -474,3 +474,11 @@ def test_the_coarse_correction_is_galerkins(grids):
     dense += np.diag(np.diag(dense))
     exact = basis @ np.linalg.solve(basis.T @ dense @ basis, basis.T @ residual)
     np.testing.assert_allclose(coarse, exact, atol=1e-8 * abs(exact).max())
+
+
+def test_steps_with_friction_estimate_the_factorised_error_closely():
+    """Directions that are not orthonormal in the energy make it 1.1 times too large here."""
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(1.0)), (4, 8, 16))
+    result = am.solve(grids, am.FullMultigrid(rtol=1e-2))
+    factorised = result.certificate(grids.finest.discrete, bound=True).energy_error
+    assert 1.0 <= result.certificate().energy_error / factorised < 1.06
