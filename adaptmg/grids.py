@@ -221,9 +221,11 @@ class Grids:
             self.contact_rows,
         )
         levels = (*self.levels[:level], above, *self.levels[level + 2 :])
-        return replace(self, levels=levels, timings=self._with({"transfer": clock() - begin}))
+        return replace(
+            self, levels=levels, timings=self._timings_with({"transfer": clock() - begin})
+        )
 
-    def _with(self, seconds: dict[str, float]) -> dict[str, float]:
+    def _timings_with(self, seconds: dict[str, float]) -> dict[str, float]:
         """Return the timings with further seconds by phase."""
         return {
             name: self.timings.get(name, 0.0) + seconds.get(name, 0.0)

@@ -366,7 +366,9 @@ class Hierarchy(Grids):
             "transfer": clock() - assembled,
         }
         origin = self.origin if self.origin.endswith(", grown") else f"{self.origin}, grown"
-        return replace(self, levels=(*self.levels, new), timings=self._with(spent), origin=origin)
+        return replace(
+            self, levels=(*self.levels, new), timings=self._timings_with(spent), origin=origin
+        )
 
     def forecast(self, finer: float = 1.0) -> Forecast:
         """Return the memory and time that a solve will take, from measured costs.

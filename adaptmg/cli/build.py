@@ -194,7 +194,7 @@ def arguments_of(function: Maker, values: Arguments, prefix: str, what: str) -> 
     return arguments
 
 
-def _made(function: Maker, values: Arguments, prefix: str, what: str) -> Any:
+def _made_with_settings(function: Maker, values: Arguments, prefix: str, what: str) -> Any:
     """Call a class or function with settings; ValueError for settings that it does not take."""
     arguments = arguments_of(function, values, prefix, what)
     for key in values:
@@ -227,7 +227,7 @@ def problem_of(values: Arguments) -> am.ContactProblem:
     if has_law and "law" not in values and {"friction", "limit"} & set(values):
         values["law"] = "coulomb" if "friction" in values else "tresca"
     return dataclasses.replace(
-        _made(function, values, "case.", f"the case {name}"), elements=elements
+        _made_with_settings(function, values, "case.", f"the case {name}"), elements=elements
     )
 
 
@@ -302,7 +302,7 @@ def solver_of(values: Arguments) -> Solver:
     if "max_cycles" in values:
         limit = next(key for key in _parameters(kind) if key.startswith("max_"))
         values[limit] = values.pop("max_cycles")
-    return _made(kind, values, "solver.", f"solver.method {name}")
+    return _made_with_settings(kind, values, "solver.", f"solver.method {name}")
 
 
 def grids(task: am.ContactProblem, values: Arguments) -> am.Hierarchy:
@@ -317,7 +317,7 @@ def grids(task: am.ContactProblem, values: Arguments) -> am.Hierarchy:
     else:
         make = am.Hierarchy.graded
         what = "hierarchy.sizes"
-    return _made(partial(make, task), values, "hierarchy.", what)
+    return _made_with_settings(partial(make, task), values, "hierarchy.", what)
 
 
 def refinement_of(values: Arguments) -> float:
@@ -364,7 +364,7 @@ def solved(
         return am.solve(levels, solver, throw=False, callback=callback), levels, []
     steps = []
     loop = partial(am.adapt, problem, progress=callback, store=store)
-    for step in _made(loop, settings["adapt"], "adapt.", "this loop"):
+    for step in _made_with_settings(loop, settings["adapt"], "adapt.", "this loop"):
         steps.append(step)
         if on_step is not None:
             on_step(step)

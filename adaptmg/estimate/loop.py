@@ -327,7 +327,7 @@ class AdaptiveLoop:
             last = self.done[-1]
             # why the mesh stays, and why the loop ends; both empty as long as neither is the case
             why_same_mesh = self._reached(last)
-            outcome = self._ended(last)
+            outcome = self._reason_to_end(last)
             mesh = None
             if not (outcome or why_same_mesh):
                 mesh, why_same_mesh = self._refine(last)
@@ -348,10 +348,10 @@ class AdaptiveLoop:
             if mesh is None:
                 yield self._solve(last.hierarchy, last.result)
             else:
-                yield self._solve(*self._carry(last, mesh))
+                yield self._solve(*self._grown(last, mesh))
 
-    def _ended(self, last: Step) -> str:
-        """Return the reason why there are no more steps, apart from the estimate; empty if there are."""
+    def _reason_to_end(self, last: Step) -> str:
+        """Return the reason to end the loop that the estimate does not give; "" to go on."""
         limits = self.limits
         every = self.parts.remesh_every
         if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
@@ -424,7 +424,7 @@ class AdaptiveLoop:
         return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {max_nodes} are allowed"
 
     @one_blas_thread()
-    def _carry(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, Result]:
+    def _grown(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, Result]:
         """Return the hierarchy with a finer mesh, and the last result interpolated to it as start."""
         self._report("assembly", mesh.n_nodes)
         before = last.hierarchy

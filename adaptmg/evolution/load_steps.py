@@ -582,7 +582,7 @@ class Guide:
             [part.targets + part.force_sizes * extra[part.indices] for part in self.parts]
         )
         # the matrix has blocks of dim dofs: columns of zeros, whose dofs are fixed, complete the last one
-        moves = np.pad(self._moves(discrete, scales), ((0, 0), (0, -n % dim)))
+        moves = np.pad(self._motions_at_contact(discrete, scales), ((0, 0), (0, -n % dim)))
         padded = moves.shape[1]
         basis = sparse.hstack([sparse.eye_array(discrete.n_dofs), sparse.csr_array(moves)], "csr")
         soft = _SOFT * np.abs(discrete.matrix.diagonal()).max()
@@ -608,7 +608,7 @@ class Guide:
         z = outcome.solution[discrete.n_dofs :][:n]
         return z * scales / self.sizes[:n]
 
-    def _moves(self, discrete: DiscreteProblem, scales: np.ndarray) -> np.ndarray:
+    def _motions_at_contact(self, discrete: DiscreteProblem, scales: np.ndarray) -> np.ndarray:
         """Return M (n_dofs, n): the free parts of the displacements of contact nodes in each motion of
         the size ``scales`` (n,)."""
         contact = discrete.contact

@@ -126,7 +126,9 @@ def transfer_state(old_grids: Grids, result: Result, new_grids: Grids) -> Result
     )
     return replace(
         carried,
-        contact=_at_rest(carried.contact, _slips(old_mesh, result.contact, mesh, carried.contact)),
+        contact=_at_rest(
+            carried.contact, _interpolated_slips(old_mesh, result.contact, mesh, carried.contact)
+        ),
         reaction=np.zeros(mesh.points.shape),
         residual=np.nan,
         solver_name=f"transfer_state from {old_mesh.n_nodes} nodes",
@@ -292,7 +294,7 @@ def _stress_data(before: _Side, data: StressData, after: _Side) -> StressData:
     return replace(result, plastic=PlasticState(state, *parts))
 
 
-def _slips(
+def _interpolated_slips(
     old_mesh: MeshArrays, old: ContactResult, mesh: MeshArrays, new: ContactResult
 ) -> np.ndarray:
     """Return the accumulated slip (n,), m, of new contact nodes, interpolated on the old boundary of

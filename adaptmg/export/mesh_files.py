@@ -253,14 +253,14 @@ def _write(result: Result, path: Path) -> None:
     if result.stress_data is not None:
         cells |= {"stress": [result.stress()], "von_mises": [result.von_mises()]}
     points: dict[str, ArrayLike] = {
-        "displacement": _three(result.displacement),
-        "reaction": _three(result.reaction),
+        "displacement": _in_space(result.displacement),
+        "reaction": _in_space(result.reaction),
         **_contact_data(result),
     }
     if result.velocity.size:
-        points["velocity"] = _three(result.velocity)
+        points["velocity"] = _in_space(result.velocity)
     raw = meshio.Mesh(
-        _three(mesh.points),
+        _in_space(mesh.points),
         [("triangle" if mesh.dim == 2 else "tetra", mesh.elements)],
         points,
         cells,
@@ -279,7 +279,7 @@ def _contact_data(result: Result) -> dict[str, np.ndarray]:
         return full
 
     def tangential(values: np.ndarray) -> np.ndarray:
-        return spread(_three(from_frames(contact.frames[:, 1:], values)))
+        return spread(_in_space(from_frames(contact.frames[:, 1:], values)))
 
     return {
         "contact_pressure": spread(contact.pressure),
@@ -292,6 +292,6 @@ def _contact_data(result: Result) -> dict[str, np.ndarray]:
     }
 
 
-def _three(vectors: np.ndarray) -> np.ndarray:
+def _in_space(vectors: np.ndarray) -> np.ndarray:
     """Return vectors (n, 2) or (n, 3) with three components, the third one 0 in the plane."""
     return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))

@@ -127,7 +127,7 @@ def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
     ]
     cells = _cells(counts, np.arange(counts[-1]))
     simplices = _simplices(counts)
-    elements = _moved(simplices, cells)
+    elements = _repeated_in(simplices, cells)
     facets, labels = _boundary(domain.boundaries, counts, simplices)
     points = np.empty((math.prod(n + 1 for n in counts), dim))
     # x runs fastest: the last axis goes first in the lattice
@@ -228,7 +228,7 @@ def _boundary(
         cells = _cells(counts, np.array([(counts[axis] - 1) * end]), axis=axis)
         # facets of the cell at node 0 whose nodes all have the place ``end`` along the axis
         place = every // strides[axis] % (counts[axis] + 1)
-        side_facets = _moved(every[(place == end).all(axis=1)], cells)
+        side_facets = _repeated_in(every[(place == end).all(axis=1)], cells)
         facets.append(side_facets[np.lexsort(np.sort(side_facets, axis=1).T[::-1])])
     return np.concatenate(facets), np.repeat(
         np.arange(len(facets)), [len(side_facets) for side_facets in facets]
@@ -277,7 +277,7 @@ def _corners(dim: int) -> np.ndarray:
     return np.array(simplices)
 
 
-def _moved(simplices: np.ndarray, cells: np.ndarray) -> np.ndarray:
+def _repeated_in(simplices: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """Move the simplices (n, k) of the cell whose lowest node is 0 to each of some cells."""
     return (cells[:, None, None] + simplices).reshape(-1, simplices.shape[1])
 

@@ -570,7 +570,7 @@ def _round_nodes(shape: Shape, size: float) -> float:
     return nodes
 
 
-def _sound(shape: Shape, tables: Sequence) -> MeshArrays:
+def _checked_mesh(shape: Shape, tables: Sequence) -> MeshArrays:
     """Return the mesh of some tables, opened along cracks; NetgenFails if it is not sound."""
     try:
         if shape.cracks:
@@ -605,7 +605,7 @@ def _solid_draft(
     for rounds_left in range(rounds, -1, -1):
         # of a draft only its sizes matter: optimising takes most of the time
         fast = {"optsteps3d": 0} if rounds_left else {}
-        unit = _sound(
+        unit = _checked_mesh(
             shape, worker("mesh_shape", face_sizes, options | fast, at, seconds=limit_s(nodes, 3))
         )
         if rounds_left:
@@ -690,7 +690,7 @@ def _bisected(
             unit = refined(unit, large, 1).mesh
             continue
         # on the mesh with its geometry, so that new nodes go onto the surfaces
-        unit = _sound(shape, worker("bisect", large, seconds=limit_s(nodes, 3)))
+        unit = _checked_mesh(shape, worker("bisect", large, seconds=limit_s(nodes, 3)))
     raise unreachable(domain, large)
 
 

@@ -76,7 +76,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     stays = np.zeros(mesh.n_nodes, dtype=bool)
     near = None
     for _ in range(_MAX_TRIES):
-        points = _moved(mesh, parents, sides, depth, stays, n_old)
+        points = _points_on_surfaces(mesh, parents, sides, depth, stays, n_old)
         moved = (points != mesh.points).any(axis=1)
         if near is None:
             near = np.flatnonzero(moved[mesh.elements].any(axis=1))
@@ -122,7 +122,7 @@ def _depth(parents: np.ndarray, n_old: int) -> np.ndarray:
         depth[new] = following
 
 
-def _moved(
+def _points_on_surfaces(
     mesh: MeshArrays,
     parents: np.ndarray,
     sides: list[_Side],

@@ -222,7 +222,7 @@ class SingleGrid:
             )
         with run.phase("setup"):
             full = local_system(hierarchy.finest.discrete)
-        swept = full
+        problem = full
         sizes = None
         restrict = np.asarray
         recover = np.asarray
@@ -234,12 +234,12 @@ class SingleGrid:
                         "condensed=True needs more contact nodes: with all but one fixed, a body that "
                         "only contact holds can still move; use condensed=False"
                     )
-                swept = condensed.problem
+                problem = condensed.problem
                 sizes = _CondensedSizes(condensed)
                 restrict = condensed.restrict
                 recover = condensed.recover
         unknowns = restrict(np.zeros(full.system.n_dofs) if start is None else full.to_local(start))
-        project(swept, unknowns)
+        project(problem, unknowns)
         # the Schur complement gives the energy of the error of the recovered solution, too
         reference = None if run.reference is None else restrict(full.to_local(run.reference))
         smoother = ProjectedGaussSeidel(omega=self.omega)
@@ -248,15 +248,17 @@ class SingleGrid:
             # with stop="change" each sweep is judged
             sweeps_to_check = max(self.FIRST_CHECK, int(self.CHECK_SHARE * done))
             sweeps = min(sweeps_to_check, self.max_sweeps - done) if self.stop == "error" else 1
-            passes = smoother.smooth(swept.system, swept.contact, swept.load, unknowns, sweeps)
-            run.count(passes, swept.system.nonzeros)
+            passes = smoother.smooth(
+                problem.system, problem.contact, problem.load, unknowns, sweeps
+            )
+            run.count(passes, problem.system.nonzeros)
             return sweeps
 
         def residual(unknowns: np.ndarray) -> np.ndarray:
-            run.count(1.0, swept.system.nonzeros)
-            return swept.residual(unknowns)
+            run.count(1.0, problem.system.nonzeros)
+            return problem.residual(unknowns)
 
-        norms = Measure(swept, run=run, reference=reference, sizes=sizes)
+        norms = Measure(problem, run=run, reference=reference, sizes=sizes)
         with run.phase("sweeps"):
             # batches that reach no new smallest change are cycling
             state, status, stop = Smoothing(norms, smooth, residual).solve(

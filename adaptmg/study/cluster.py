@@ -385,7 +385,7 @@ class _Runs:
         self._client.subscribe_topic(
             "worker-restart-memory", lambda event: self._large.add(event[1]["worker"])
         )
-        self._client.subscribe_topic(self._name, self._begun)
+        self._client.subscribe_topic(self._name, self._note_begin)
         try:
             self._send()
             while self._out or self._open:
@@ -400,7 +400,7 @@ class _Runs:
                     yield done
         finally:
             with contextlib.suppress(Exception):  # the scheduler may be gone, and its client closed
-                self._drop()
+                self._cancel_all()
                 self._client.unsubscribe_topic("worker-restart-memory")
                 self._client.unsubscribe_topic(self._name)
 
@@ -456,7 +456,7 @@ class _Runs:
             result = error
         self._back.put((name, result))
 
-    def _begun(self, event: tuple[float, dict[str, str]]) -> None:
+    def _note_begin(self, event: tuple[float, dict[str, str]]) -> None:
         """Note the worker of a run, and when it began: dask may start it again on another worker."""
         if (run := self._out.get(event[1]["run"])) is not None:
             run.worker = event[1]["worker"]
@@ -476,7 +476,7 @@ class _Runs:
             )
             self._stop([run], [run.worker])
 
-    def _drop(self) -> None:
+    def _cancel_all(self) -> None:
         """Cancel the runs that are out; on a cluster that goes on, nannies restart the workers that
         compute them."""
         if not self._out:

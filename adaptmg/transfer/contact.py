@@ -150,7 +150,7 @@ def between_levels(
     ``transfer``, with other rows on crack faces and (``contact_rows``) on contact boundaries, and
     from it the two forms for relative values (module docstring)."""
     on_lattices = between_lattices(coarse, fine) if type(transfer) is Interpolation else None
-    nodal = _built(transfer, coarse, fine) if on_lattices is None else on_lattices
+    nodal = _checked_prolongation(transfer, coarse, fine) if on_lattices is None else on_lattices
     contact = fine_problem.contact
     coupling = fine_problem.coupling
     if coupling is not None:
@@ -252,7 +252,9 @@ def _height(mesh: MeshArrays, face: str, other: str, points: np.ndarray) -> np.n
     return np.where(weight_on_other < 1, height, 0.0)
 
 
-def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+def _checked_prolongation(
+    transfer: Transfer, coarse: MeshArrays, fine: MeshArrays
+) -> sparse.csr_array:
     """Return the prolongation that a transfer builds; ValueError unless it is a sparse matrix of
     the right shape with finite entries of about 1."""
     returned = transfer.build(coarse, fine)

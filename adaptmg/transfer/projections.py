@@ -437,10 +437,10 @@ def clip_elements(
         full = False
         for at in range(overlapping(boxes, box, coarse_points, coarse, stack, candidates)):
             s = candidates[at]
-            if _apart(coarse_points, coarse[s], fine_maps, e, mu):
+            if _separates(coarse_points, coarse[s], fine_maps, e, mu):
                 continue
             # the second test leaves in mu the coarse coordinates of the fine corners
-            if _apart(points, elements[e], maps, s, mu):
+            if _separates(points, elements[e], maps, s, mu):
                 continue
             share = common_moments(mu, k, pieces, levels, moments)
             full = count + k > len(columns)
@@ -459,7 +459,7 @@ def clip_elements(
 
 
 @kernel
-def _apart(points, corners, maps, e, mu):
+def _separates(points, corners, maps, e, mu):
     """Return whether a face of element ``e`` of ``maps`` parts it from the simplex ``corners``.
     Writes the barycentric coordinate m of corner v at ``mu[v, m]``, snapped to zero."""
     # the same as ``barycentric``, but face by face: most pairs are parted by one of the first
