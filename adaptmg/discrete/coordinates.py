@@ -348,7 +348,7 @@ class Unknowns:
         nodes = self.contact.nodes
         facing = facing_part(cast("Coupling", self.coupling).weights[nodes])
         result = []
-        for tangents in frames_of(self).swapaxes(0, 1)[1:]:
+        for tangents in self._held_tangents(facing).swapaxes(0, 1):
             held = np.flatnonzero(self._held_along(nodes, tangents))
             weights = sparse.coo_array(facing[held])
             weights.data *= self._held_along(weights.col, tangents[held][weights.row])
@@ -360,6 +360,28 @@ class Unknowns:
             slaves = held[carried]
             result.append((slaves, sparse.csr_array(scale @ weights[carried]), tangents[slaves]))
         return result
+
+    def _held_tangents(self, facing: sparse.csr_array) -> np.ndarray:
+        """Return tangents (n_contact, dim - 1, dim) of contact nodes, which face others by the weights
+        ``facing`` (n_contact, n_nodes).
+
+        They are those of the frames. Only where supports hold all tangents, and the frame is arbitrary,
+        the first one is the direction along which supports hold a faced node, if they leave that
+        the other tangent."""
+        frames = frames_of(self)
+        tangents = frames[:, 1:]
+        if self.dim < 3:
+            return tangents
+        nodes = self.contact.nodes
+        is_clamped = self._held_along(nodes, frames[:, 1]) & self._held_along(nodes, frames[:, 2])
+        for i in np.flatnonzero(is_clamped):
+            across = tangents[i].T @ tangents[i]  # the projection onto the tangent plane
+            spans = across @ self.held_spans(facing[[i]].indices) @ across
+            in_one_plane = np.abs(np.einsum("nii->n", spans) - 1) < checks.SIX_DIGITS
+            if in_one_plane.any():
+                first = np.linalg.eigh(spans[np.argmax(in_one_plane)])[1][:, -1]
+                tangents[i] = first, np.cross(frames[i, 0], first)
+        return tangents
 
     def _held_along(self, nodes: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Return whether (n,) supports hold nodes (n,) along unit vectors (n, dim)."""

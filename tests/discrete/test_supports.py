@@ -569,6 +569,11 @@ def test_pairs_between_plane_supports_turn_with_the_bodies(dim, moves):
         np.testing.assert_allclose(
             found.resultant(name).force @ turn, expected.resultant(name).force, atol=1e-4
         )
+    # also where two planes meet, and hold the nodes that a corner faces in one of them each
+    forces = expected.contact.master_force
+    np.testing.assert_allclose(
+        found.contact.master_force @ turn, forces, atol=1e-8 * np.abs(forces).max()
+    )
 
 
 def clamped_beam(gap, seed, sinks=0.0):
