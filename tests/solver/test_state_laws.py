@@ -37,6 +37,30 @@ def falling(pressure, slip):
     return (0.1 + 0.4 / (1 + pressure / 5e7)) * (0.7 + 0.3 * np.exp(-slip / 1e-5))
 
 
+def test_a_node_next_to_a_held_one_knows_its_pressure():
+    """The corner is held with the strain of a uniform pressure; the next node takes its part over."""
+    rng = np.random.default_rng(3)
+    size, shift = rng.uniform(0.1, 10.0), rng.normal(size=2)
+    mesh = am.mesh.structured(am.Rectangle(width=size, height=size), (8, 6))
+    order = rng.permutation(mesh.n_nodes)  # the new number of each node
+    points = np.empty_like(mesh.points)
+    points[order] = mesh.points + shift
+    mesh = replace(mesh, points=points, elements=order[mesh.elements], facets=order[mesh.facets])
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=YOUNG, poisson=0.0),
+        law=am.StateLaw(falling),
+        contact=am.Contact("bottom", am.Plane(tuple(shift), (0, 1))),
+        loads=am.Pressure("top", PRESSURE),
+        supports=am.Support("left", x=0, y=lambda x: -PRESSURE / YOUNG * (x[:, 1] - shift[1])),
+    )
+    for method in (EXACT, am.SingleGrid(rtol=1e-10)):
+        contact = am.solve(am.Hierarchy.from_meshes(problem, mesh), method).contact
+        assert contact.measures.max() > 1.4 * np.median(contact.measures)
+        assert contact.pressure == pytest.approx(PRESSURE, rel=1e-8)
+        friction = contact.limit / contact.force_n
+        assert friction == pytest.approx(falling(PRESSURE, 0.0), rel=1e-8)
+
+
 def block(law, place=PLANE, compliance=None, push=1e8, poisson=0.2):
     """Return grids of a block pressed on a plane and pushed along it."""
     dim, turn, shift = place
