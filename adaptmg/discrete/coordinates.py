@@ -185,16 +185,18 @@ def held_slaves(
     rows = sparse.csr_array(weights[nodes])
     facing = facing_part(rows)
     rubs = friction_acts(law, len(nodes)) & (facing.sum(axis=1) > 0)
-    # a component is held at the node, and at nothing that it faces
-    held = (fixed[nodes] & (facing @ fixed.astype(float) <= checks.SIX_DIGITS)).any(axis=1)
-    # directions of inclined supports are not compared one by one: a node that faces any held node may
-    # move with it
-    held_in_any_direction = np.any(fixed, axis=1)
-    held_in_any_direction[inclined.nodes] = True
-    held |= np.isin(nodes, inclined.nodes) & (
-        facing @ held_in_any_direction.astype(float) <= checks.SIX_DIGITS
-    )
-    return np.flatnonzero(rubs & held)
+    if not len(inclined):
+        # a component is held at the node, and at nothing that it faces
+        held = fixed[nodes] & (facing @ fixed.astype(float) <= checks.SIX_DIGITS)
+        return np.flatnonzero(rubs & held.any(axis=1))
+    # with the projection P of a node, and the weighted sum F of those of the nodes that it faces: the
+    # least t'Ft of unit vectors t that are held at the node, as I - P has 1 for others
+    identity = np.eye(fixed.shape[1])
+    spans = fixed[:, :, None] * identity + inclined.at(np.arange(len(fixed)))
+    of_facing = (facing @ spans.reshape(len(fixed), -1)).reshape(len(nodes), *identity.shape)
+    P = spans[nodes]
+    least = np.linalg.eigvalsh(P @ of_facing @ P + identity - P)[:, 0]
+    return np.flatnonzero(rubs & (least <= checks.SIX_DIGITS))
 
 
 class Unknowns:

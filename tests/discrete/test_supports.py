@@ -576,6 +576,33 @@ def test_pairs_between_plane_supports_turn_with_the_bodies(dim, moves):
     )
 
 
+def test_planes_that_hold_one_body_of_a_pair_each_turn_with_it():
+    """A corner of the slave is held along one tangent, nodes that it faces along the other: it carries no
+    condition, at any angle."""
+    parts = {
+        name: am.Box(width=1, depth=1, height=0.5, origin=(0.0, 0.0, low))
+        for name, low in (("upper", 0.0), ("lower", -0.5))
+    }
+    mesh = am.mesh.structured(am.Assembly(parts=parts), {"upper": 2, "lower": 3})
+    held = ("upper.left", "upper.back", "lower.front", "lower.right", "lower.bottom")
+    found = []
+    for turn in (np.eye(3), np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]):
+        turn *= np.linalg.det(turn)
+        problem = am.ContactProblem(
+            material=am.Solid(young=1e7, poisson=0.3),
+            law=am.Coulomb(0.3),
+            contact=am.ContactPair("upper.bottom", "lower.top"),
+            loads=[
+                am.Pressure("upper.top", 1e4),
+                am.Traction("upper.right", turn @ [1e3, 2e3, 0.0]),
+            ],
+            supports=[am.Support(name, normal=0.0) for name in held],
+        )
+        grids = am.Hierarchy.from_meshes(problem, [replace(mesh, points=mesh.points @ turn.T)])
+        found.append(am.solve(grids, EXACT).displacement @ turn)
+    np.testing.assert_allclose(found[1], found[0], atol=1e-9 * np.abs(found[0]).max())
+
+
 def clamped_beam(gap, seed, sinks=0.0):
     """A beam clamped at both ends above a plane, of a random place, size and direction; the meshes
     and the turn."""
