@@ -426,7 +426,7 @@ class PeakPressure:
         """Return the smoothed peak of the pressure on the boundary, as one functional."""
         source = view if view.coarse is None else view.coarse
         contact = source.contact
-        weights = _of_slaves(source, self.boundary)
+        weights = _slave_weights(source, self.boundary)
         forces = np.maximum(-_at_nodes(source, contact.residual)[:, 0], 0.0)
         pressures = forces / source.touching.weights
         largest = pressures.max(initial=0.0) or 1.0
@@ -477,7 +477,7 @@ class Dissipation:
         """Return the energy that friction dissipates on the boundary, as one functional."""
         source = view if view.coarse is None else view.coarse
         contact = source.contact
-        on_boundary = _of_slaves(source, self.boundary) > 0
+        on_boundary = _slave_weights(source, self.boundary) > 0
         frictions = np.where(on_boundary[:, None], _at_nodes(source, contact.residual)[:, 1:], 0.0)
         frictions[contact.held] = 0.0
         # D = -sum f_i . s_i of frictions f = (A u - b)_t and slips s = u_t - u_t^0: D'(v) = -sum (s_i .
@@ -500,9 +500,10 @@ class Dissipation:
         ]
 
 
-def _of_slaves(view: GoalView, boundary: str) -> np.ndarray:
-    """Return the weights (n,) of the contact nodes of a boundary, 0 at others; ValueError for the
-    master of a pair."""
+def _slave_weights(view: GoalView, boundary: str) -> np.ndarray:
+    """Return the weights w (n_contact,) of the contact nodes of a boundary, which are the measures of
+    the surface that belongs to each node by itself, m or m^2, and 0 at other contact nodes; ValueError
+    for the master of a pair."""
     on_boundary, sign = _contact_mask(view.touching, boundary)
     if sign < 0:
         raise ValueError(f"boundary {boundary!r} is the master of a pair: give the slave")
@@ -560,17 +561,22 @@ class Opening:
             object.__setattr__(self, "point", tuple(float(c) for c in point))
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """Return the opening at the point, or its mean over the boundary, as one functional."""
+        """Return the opening at the point, or its mean over the boundary, as one functional.
+
+        The opening is a sum of c_j G_j over the contact nodes j. The gap of a node that takes over
+        shares V_ji of nodes i without a condition is G_j = g_j + sum_i V_ji g_i. With the weight w_j
+        of the node by itself, w_j G_j is the integral of the gap over the parts of all these nodes,
+        whose measure is m_j = w_j (1 + sum_i V_ji), ``measures``. The mean over the boundary is the
+        sum of these integrals over that of the measures, c_j = w_j / sum_k m_k. At a point x the mean
+        gap of each node, w_j G_j / m_j, is interpolated: c_j = phi_j(x) w_j / m_j."""
         contact = view.contact
         posed = view.touching
         mesh = view.mesh
-        weights = _of_slaves(view, self.boundary)
+        weights = _slave_weights(view, self.boundary)
         on_boundary = weights > 0
         if self.point is None:
             name = f"mean opening of {self.boundary!r}"
-            # the gap of a node is a sum over the nodes that it takes over: w times it belongs to the measure
-            # of all of these
-            weights /= np.sum(posed.measures[on_boundary])
+            coefficients = weights / np.sum(posed.measures[on_boundary])
         else:
             facets = np.concatenate(
                 [
@@ -578,15 +584,15 @@ class Opening:
                     for k in np.unique(posed.boundary[on_boundary])
                 ]
             )
-            weights = self._at_point(view, facets)
             name = f"opening of {self.boundary!r} at {_place(self.point)}"
-            weights = weights * posed.weights / posed.measures  # means over these nodes
+            coefficients = self._shape_values(view, facets) * posed.weights / posed.measures
         vector = np.zeros((view.discrete.n_nodes, mesh.dim))
-        vector[contact.nodes] = -weights[:, None] * contact.frames[:, 0]  # of g0 - u_n
-        return [Functional(name, float(weights @ contact.gap), "m", vector.reshape(-1))]
+        vector[contact.nodes] = -coefficients[:, None] * contact.frames[:, 0]  # of g0 - u_n
+        return [Functional(name, float(coefficients @ contact.gap), "m", vector.reshape(-1))]
 
-    def _at_point(self, view: GoalView, facets: np.ndarray) -> np.ndarray:
-        """Return the weights of the contact nodes (n_contact,) at the point."""
+    def _shape_values(self, view: GoalView, facets: np.ndarray) -> np.ndarray:
+        """Return the shape functions (n_contact,) of the contact nodes at the point, by the one of the
+        ``facets`` that is nearest to it."""
         mesh = view.mesh
         point = np.array(self.point)
         if len(point) != mesh.dim:
