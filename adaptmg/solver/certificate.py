@@ -737,8 +737,14 @@ class Evidence:
         return (conditions.gap < 0) | (d * to_close**2 < pressing**2 / d)
 
     def _nearest_status(self, conditions: ContactValues, unknowns: np.ndarray) -> _NearestStatus:
-        """Return the status that ``unknowns`` (n_nodes, dim) are nearest to, with the symbols of
-        :mod:`adaptmg.solver.energy_error`."""
+        """Return the status that ``unknowns`` (n_nodes, dim) are nearest to.
+
+        The symbols are those of :mod:`adaptmg.solver.energy_error`, whose correction y solves
+        K (I + D) A y + K S y = e: the change z that meets the status, the projection K onto the space
+        that keeps it, the stiffness S of friction that turns and of springs, and the map D from the
+        forces A y on contact nodes to the friction that grows with their pressure. K
+        also projects onto the directions that supports leave free. D and S need no such projection,
+        as K is applied after them."""
         problem = self.problem
         dim = problem.dim
         nodes = problem.contact.nodes
@@ -761,6 +767,8 @@ class Evidence:
         normal_change = np.where(on_rigid, gap, 0.0)[:, None] * normals
         z[nodes] = normal_change - friction.without_slip[:, None] * free_slip
         missed = problem.fixed_values - unknowns.reshape(-1)
+        # this adds the held parts of what is missed. At contact nodes they come on top of the change above:
+        # its slips have no held parts, and normals have some only where a support is inclined to the surface
         z += (missed - problem.free_part(missed)).reshape(z.shape)
         # K: tangents I - n n' of nodes that slide, normals n n' of nodes that touch nothing rigid
         normal_parts = normals[:, :, None] * normals[:, None]
@@ -846,11 +854,14 @@ class _NearestStatus:
 class _NearestFriction:
     """The lawful friction that is nearest to a claimed one."""
 
-    without_slip: np.ndarray  # (n_contact,) bool: the slip is taken back to zero
-    slides: np.ndarray  # (n_contact,) bool: the node may slip further
-    direction: np.ndarray  # (n_contact, dim): unit vectors of the friction of nodes that slide
-    lawful: np.ndarray  # (n_contact, dim), N
-    turning: np.ndarray  # (n_contact,): its stiffness as it turns with the slip, N/m
+    without_slip: np.ndarray  # (n_contact,) bool: the slip is taken back to zero, by z
+    #: (n_contact,) bool: K leaves tangents free: open nodes, those that slip, and those without slip that start to
+    slides: np.ndarray
+    direction: np.ndarray  # (n_contact, dim): unit vectors f of the friction of nodes that slide
+    #: (n_contact, dim), N: the claimed friction of nodes that stick, the bound B along f of nodes that slide
+    lawful: np.ndarray
+    #: (n_contact,): B/|tau| of nodes that slip, N/m: friction turns with the slip tau; else 0
+    turning: np.ndarray
 
 
 def _image(matrix: sparse.bsr_array, change: np.ndarray) -> np.ndarray:
