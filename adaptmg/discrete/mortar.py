@@ -175,7 +175,10 @@ def pair_interface(
         raise ValueError(f"{named_pair}: {error}") from error
     if pair.gap is not None:
         gaps = checks.field(f"gap of {named_pair}", pair.gap, mesh.points[interface.nodes])
-        # rows may contain slave nodes without a multiplier: their gaps count with the same weights
+        # a row takes over slave nodes b without a multiplier: its condition is u_a - ... + sum_b V_ab u_b, so
+        # that its gap is g_a + sum_b V_ab g_b, with V_ab = -B_ab. A node that both surfaces share, as the
+        # tip of a crack, has B_ab = 0 where facets match: nothing opens there, and the gap given there does
+        # not count
         without_multiplier = np.setdiff1d(slave.nodes, interface.nodes)
         if len(without_multiplier):
             gaps = gaps - cast("sparse.csr_array", interface.coupling)[

@@ -64,7 +64,9 @@ class Volumes:
     means: sparse.csr_array  # (n_groups, n_nodes): shares of nodes in a group's volume, row sums 1
     areas: np.ndarray  # (n_groups,): A, m^2 (plane) or m^3
     compliance: np.ndarray  # (n_groups,): 1 / kappa, 1/Pa; 0: incompressible
-    modulus: np.ndarray  # (n_groups,): lam_1 + mu, Pa
+    #: (n_groups,): lambda_1 + mu, Pa, the pressure with which K' resists a mean volume strain of 1 that is equal in
+    #: both directions of the plane; in space this is lambda_1 + 2/3 mu, which the same number stands for
+    modulus: np.ndarray
     body: np.ndarray  # (n_groups,) int: number of the body that a group belongs to
     corners: np.ndarray  # (n_elements, dim + 1) int32: groups of the corners of elements, or -1
     expansion: np.ndarray | float = 0.0  # (n_groups,): mean trace of initial strains
@@ -161,14 +163,16 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     materials = body_materials(mesh, material)
     dim = mesh.dim
     lame, shear = lame_constants(materials)
+    # lambda_1, which acts on the means of smoothed elements around edges: up to 4 mu, of plastic bodies less
     edge_lame = np.minimum(lame, edge_parts(materials) * shear)
     isotropic = np.array([elastic.anisotropy is None for elastic in materials])
     chosen = inelastic_bodies(materials) == inelastic
     kappa = np.where(isotropic & chosen, lame - edge_lame, 0.0)
-    # a ratio of .4 has a kappa of rounding
+    # with Poisson's ratio .4 lambda is 4 mu up to rounding, and kappa is nothing but this rounding
     in_groups = (kappa > checks.ALIKE * shear)[mesh.element_body]
     if not in_groups.any():
         return Volumes.none(mesh.n_nodes, dim)
+    # the groups of the nodes
     cells = _nodes_of_bodies(mesh, in_groups)
     n = cells.max() + 1
     elements = mesh.elements[in_groups]
