@@ -94,7 +94,7 @@ class PathLoop:
         if not self.controls.motions:
             # a step that nothing holds should show before the first step is solved, too
             for k in range(len(path)):
-                self._check_statics(k, self._posed(k, {}, between=False))
+                self._check_statics(k, self._posed(k, {}, only_ends=True))
 
     @property
     def _limit(self) -> float:
@@ -283,10 +283,11 @@ class PathLoop:
         # all forces vanish: a relative residual would be rounding over nothing
         return replace(result, status=Status.CONVERGED, residual=0.0)
 
-    def _posed(self, k: int, motions: Mapping[str, np.ndarray], between: bool = True) -> Grids:
+    def _posed(self, k: int, motions: Mapping[str, np.ndarray], only_ends: bool = False) -> Grids:
         """Return the hierarchy with loads, prescribed values, places of obstacles and slip
         references of step k. Levels coarser than the solver's, or without a problem, stay
-        unchanged; so do those ``between`` the ends, which statics does not read."""
+        unchanged. With ``only_ends`` so do those between the coarsest level of the solver and the
+        finest one: statics does not read them."""
         factors = self._loading(k, motions)
         levels = []
         places = self.controls.placed(factors, motions)
@@ -295,8 +296,10 @@ class PathLoop:
         ends = (n_unused, len(self.grids) - 1)
         parts = zip(self.grids.levels, self.loads, self.posed, strict=True)
         for number, (level, loads, posed) in enumerate(parts):
-            if loads is not None and number >= n_unused and (between or number in ends):
+            if loads is not None and number >= n_unused and (number in ends or not only_ends):
                 problem = level.discrete
+                # slips count from the displacement after the last step; before the first step there is
+                # none, and they count from the reference that the level was posed with
                 reference = level.discrete.contact.slip_reference
                 if len(self.recent) > 1:
                     reference = problem.at_contact(self.displacements[number - n_unused])
