@@ -99,7 +99,7 @@ _WORDS = {
     "wedge": "wedges",
     "hexahedron": "bricks",
 }
-#: shape and number of nodes of every kind of cell
+#: (shape, number of nodes) of every kind of cell: a kind is a shape with or without nodes of second order
 KINDS = {shape: (shape, n) for shape, n in _CORNERS.items()}
 KINDS |= {
     f"{shape}{n}": (shape, n)
@@ -166,13 +166,15 @@ def _middle(kind: str, first: int, second: int) -> int:
     return first if first == second else _between(kind, first, second)[0]
 
 
+#: the linear cells that a kind of cell is cut into, each as (facets, nodes): ``nodes`` are the corners of the
+#: linear cell as local nodes of the kind, and ``facets`` are its facets as places in ``nodes``: those of its
+#: shape in FACETS, except for :func:`_core`
 Parts = list[tuple[tuple[Corners, ...], Corners]]
 
 
 @cache
 def _parts(kind: str) -> Parts:
-    """Return the linear cells that a kind is cut into: the facets of each, as its local corners,
-    and the numbers of its corners among the nodes of the kind."""
+    """Return the linear cells that a kind is cut into."""
     shape, n = KINDS[kind]
     if n == _CORNERS[shape]:
         return [(FACETS.get(shape, ()), tuple(range(n)))]
@@ -204,10 +206,14 @@ def _halved(kind: str) -> Parts:
 
 def _cut_corners(kind: str) -> Parts:
     """Return the cells that the middle nodes of the edges cut off, one at each corner."""
+    shape, _ = KINDS[kind]
     result = []
-    for corner in range(_CORNERS[KINDS[kind][0]]):
+    for corner in range(_CORNERS[shape]):
+        # the normal of the ring, by the right-hand rule, points away from the corner, as that of the
+        # nodes 1, 2, 3 of a tetrahedron from node 0. That of the base of a pyramid points to its tip,
+        # the last node: the ring is reversed
         ring = _around(kind, corner)
-        if len(ring) == 4:  # the tip comes last
+        if len(ring) == 4:
             result.append((FACETS["pyramid"], (*ring[::-1], corner)))
         else:
             result.append((FACETS["triangle" if len(ring) == 2 else "tetra"], (corner, *ring)))
@@ -229,8 +235,8 @@ def _core(kind: str) -> tuple[tuple[Corners, ...], Corners]:
 
 
 def _around(kind: str, corner: int) -> Corners:
-    """Return the middle nodes of the edges at a corner, one after the other as the clock runs, seen
-    from the corner; in the plane two."""
+    """Return the middle nodes of the edges at a corner, one after the other: in space clockwise, seen
+    from the corner; in the plane two, which make a counter-clockwise triangle (corner, first, second)."""
     shape = KINDS[kind][0]
     # each face at the corner leads from the middle of one of its edges to that of the other
     steps = {}

@@ -45,6 +45,7 @@ class CoarseObstacles:
         unknowns = step.displacement(state)
         moved = unknowns.copy()
         self.cycle.correct(step.number, state.contact.conditions, moved, state.residual, shape="W")
+        # iterates count from the prescribed values: all fixed dofs are zero, also the prescribed ones
         moved[step.matrix.fixed] = 0.0
         return step.move(state, moved - unknowns)
 

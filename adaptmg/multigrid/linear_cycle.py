@@ -183,8 +183,21 @@ class LinearCycle:
         coarse_smoother: LinearSmoother | None = None,
         correct: Cycle | LinearCorrection | None = None,
     ) -> None:
-        """Prepare cycles; ``sweeps`` has a number for each level, before and after the correction,
-        where ``correct`` is not a :class:`~adaptmg.multigrid.cycle.Cycle`."""
+        """Prepare the solution of the coarse problems in one of three ways.
+
+        ``correct`` None
+            A V-cycle. ``sweeps`` has a number for each level, of sweeps before the coarse correction
+            and as many after it.
+        ``correct`` a :class:`~adaptmg.multigrid.cycle.Cycle`
+            A cycle of its shape, with its numbers of sweeps on all levels; ``sweeps`` is not used.
+        ``correct`` a :class:`LinearCorrection`
+            It solves all coarse problems by itself. ``sweeps`` is not used;
+            :class:`~adaptmg.multigrid.truncated_parts.Truncated` refuses ``coarse_solve`` and
+            ``coarse_smoother``, which would have no effect.
+
+        In both kinds of cycles ``coarse_solve`` replaces the LU factors of the coarsest problem, and
+        one call of ``coarse_smoother`` replaces all sweeps before, and one all sweeps after the coarse
+        correction of each level above it."""
         self.levels: list[LinearLevel] = []
         self.recorder = recorder
         self.coarse_smoother = coarse_smoother

@@ -494,17 +494,23 @@ class TruncatedStep:
             self._project(contact, proposed)
 
     def distance(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Return the A-norm of the difference of two displacements (n_dofs,); half a pass."""
+        """Return the A-norm of the difference d of two displacements (n_dofs,); half a pass.
+
+        With A = L + D + L' it is d'D d + 2 d'L d. The rows of L are stored in the order of the sweeps,
+        ``strips.order``. The sweeps store D by the inverses of its blocks, ``inverse``, which are
+        inverted back here."""
         matrix = self.matrix
-        arrays = self.matrix.lower_arrays
+        lower_indptr, lower_indices, lower = matrix.lower_arrays
         self.cycle.recorder.count(0.5, matrix.nonzeros)
         square = sum_of_parts(
             projected_sweeps.energy_product,
             matrix.n_nodes,
-            len(arrays[-1]),
+            len(lower),  # the numbers that it reads, which decide into how many parts it is split
             matrix.strips.order,
             ZERO[matrix.dim],
-            *arrays,
+            lower_indptr,
+            lower_indices,
+            lower,
             matrix.inverse,
             first,
             second,
