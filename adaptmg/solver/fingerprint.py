@@ -57,7 +57,8 @@ _REFUSED = (
     random.Random,
     ctypes.CDLL,
 )
-#: a function that reads one of these names may read anything, or attributes that do not count
+#: names that hide what results depend on: through them a function may read any object (``eval``, ``sys.modules``),
+#: or attributes that the comparison leaves out (``__doc__``). A function that reads one is refused
 _HIDDEN = {
     "eval",
     "exec",
@@ -301,7 +302,8 @@ class _Parts:
         self, name: str, function: FunctionType, chains: list[tuple[str, ...]]
     ) -> None:
         """Add the globals and the variables of enclosing functions that a function reads, each first in
-        a chain with the attributes that are taken from it."""
+        a chain with the attributes that are taken from it; TypeError if a chain holds a hidden name. In
+        chains of attributes alone the first name is empty."""
         namespace = function.__globals__
         home = self._home(namespace.get("__name__", "__main__"))
         enclosing: dict[str, object] = {}
@@ -513,7 +515,8 @@ def _reads(
     code: CodeType,
 ) -> tuple[list[tuple[str, ...]], list[tuple[int, str, tuple[str, ...] | None]]]:
     """Return the globals and variables of closures that code reads, each with the attributes taken
-    from it, and its imports (level, module, names)."""
+    from it, and its imports (level, module, names). A hidden name that is read as an attribute of any
+    other value, as of an argument, comes after an empty first name, since that value has no name."""
     chains = []
     imports = []
     # the code itself and, as the list grows, all functions inside it. Only variables of closures that
@@ -531,7 +534,7 @@ def _reads(
                 )
                 chains.append((step.argval, *(step_after.argval for step_after in after)))
             elif step.opname in _ATTRIBUTE and step.argval in _HIDDEN:
-                chains.append((step.argval,))
+                chains.append(("", step.argval))
             elif step.opname == "IMPORT_NAME":  # level and names are loaded just before it
                 level, names = (before.argval for before in steps[place - 2 : place])
                 imports.append((level, step.argval, names))
