@@ -49,6 +49,7 @@ from adaptmg.discrete.moduli import (
 )
 from adaptmg.geometry.search import morton_order
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.laws import Elastic
 
 #: nodes of a group, by dimension
 GROUP = {2: 4, 3: 8}
@@ -162,27 +163,14 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     ``inelastic`` bodies."""
     materials = body_materials(mesh, material)
     dim = mesh.dim
-    lame, shear = lame_constants(materials)
-    # lambda_1, which acts on the means of smoothed elements around edges: up to 4 mu, of plastic bodies less
-    edge_lame = np.minimum(lame, edge_parts(materials) * shear)
-    isotropic = np.array([elastic.anisotropy is None for elastic in materials])
-    chosen = inelastic_bodies(materials) == inelastic
-    kappa = np.where(isotropic & chosen, lame - edge_lame, 0.0)
-    # with Poisson's ratio .4 lambda is 4 mu up to rounding, and kappa is nothing but this rounding
-    in_groups = (kappa > checks.ALIKE * shear)[mesh.element_body]
+    kappa, modulus = _moduli_of_bodies(materials, inelastic)
+    in_groups = (kappa > 0)[mesh.element_body]
     if not in_groups.any():
         return Volumes.none(mesh.n_nodes, dim)
-    # the groups of the nodes
     cells = _nodes_of_bodies(mesh, in_groups)
-    n = cells.max() + 1
     elements = mesh.elements[in_groups]
     starts = starts_of(cells)
-    group = np.full(n, -1, dtype=np.int32)
-    n_groups = _gather(
-        *pattern(elements_of_nodes(cells, n), starts, read_only(cells.reshape(-1))),
-        GROUP[dim],
-        group,
-    )
+    group, n_groups = _groups_of_nodes(cells, starts, GROUP[dim])
     group_of_corner = group[cells]
     # V_T / (d + 1) and the slopes of div_T
     slopes, corner_volumes = (every[in_groups] for every in shape_gradients(mesh))
@@ -204,7 +192,7 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     )
     rows = sparse.csr_array(sparse.csr_array(corners_in_groups.T) @ divergences)
     rows.sort_indices()
-    mesh_node = np.empty(n, dtype=np.int64)
+    mesh_node = np.empty(len(group), dtype=np.int64)
     mesh_node[cells] = elements
     means = sparse.csr_array(
         (node_volumes / areas[group], (group, mesh_node)), shape=(n_groups, mesh.n_nodes)
@@ -218,10 +206,35 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
         means=means,
         areas=areas,
         compliance=1 / kappa[body],
-        modulus=(edge_lame + shear)[body],
+        modulus=modulus[body],
         body=body,
         corners=corners,
     )
+
+
+def _moduli_of_bodies(
+    materials: tuple[Elastic, ...], inelastic: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return kappa = lambda - lambda_1 (n_bodies,), 0 for bodies without groups, and lambda_1 + mu
+    (n_bodies,), see :attr:`Volumes.modulus`. lambda_1 is the part of lambda up to 4 mu, of plastic
+    bodies less, that the means of smoothed elements around edges keep."""
+    lame, shear = lame_constants(materials)
+    edge_lame = np.minimum(lame, edge_parts(materials) * shear)  # lambda_1
+    isotropic = np.array([elastic.anisotropy is None for elastic in materials])
+    chosen = inelastic_bodies(materials) == inelastic
+    kappa = lame - edge_lame
+    # with Poisson's ratio .4 lambda is 4 mu up to rounding, and kappa is only this rounding
+    above_rounding = kappa > checks.ALIKE * shear
+    return np.where(isotropic & chosen & above_rounding, kappa, 0.0), edge_lame + shear
+
+
+def _groups_of_nodes(cells: np.ndarray, starts: np.ndarray, size: int) -> tuple[np.ndarray, int]:
+    """Return the group of each node (n,) of cells (n_cells, dim + 1), whose rows begin at ``starts``
+    (n_cells + 1,), and the number of groups, of about ``size`` nodes each."""
+    n = cells.max() + 1
+    group = np.full(n, -1, dtype=np.int32)
+    neighbours = pattern(elements_of_nodes(cells, n), starts, read_only(cells.reshape(-1)))
+    return group, _gather(*neighbours, size, group)
 
 
 def _nodes_of_bodies(mesh: MeshArrays, chosen: np.ndarray) -> np.ndarray:
