@@ -308,10 +308,10 @@ class HalvedError:
         weighted = contact.local(reaction)[self.new]
         geometry = _WHOLE * (finer.value - coarse.value)
         signed = _WHOLE * float(weighted @ self.error) + geometry
-        # the marks take the diagonal in place of A_MM, and no factor 4/3: without it their sum is .89 to 1.04
-        # times the first term of ``signed``, to which ``geometry`` is added there (five goals on discs and
-        # a bar). With it 30, 50 or 70 % of the squares lie in the same elements for four of these goals, and
-        # in 3 others of 5 to 17 for one
+        # the marks take the diagonal in place of A_MM, and no factor 4/3: so their sum is .89 to 1.04 times
+        # the first term of ``signed``, to which ``geometry`` is added there (five goals on discs and a bar).
+        # The factor would not change which elements hold 30, 50 or 70 % of the squares for four of these
+        # goals; for the fifth the two sets, of 5 to 17 elements, differ in 3
         parts = np.abs(weighted * self.diagonal_error)
         if not dual.field.any() and coarse.vector[~self.view.discrete.fixed].any():
             # the contact state does not let the quantity change, but a finer mesh may have another state
