@@ -107,6 +107,8 @@ class Volumes:
 
     def strains(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the mean divergence b u (n_groups,) without that of free expansion."""
+        if not len(self):
+            return NO_PRESSURES
         return (self.rows @ unknowns) / self.areas - self.expansion + self.prescribed
 
     def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
