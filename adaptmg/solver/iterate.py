@@ -142,6 +142,7 @@ def nested_start(
 ) -> Flowing:
     """Return the start on the finest of some levels: the solution of the ``coarsest``,
     ``prolonged`` from level to level, ``cycled`` on those between."""
+    before = run.work_units
     with run.phase("start"):
         state = coarsest()
         for number in range(1, levels):
@@ -149,7 +150,7 @@ def nested_start(
             run.visit(number, "start")
             if number < levels - 1:  # on the finest level the method itself goes on
                 state = cycled(number, state)
-    run.start_work_units = run.work_units
+    run.start_work_units += run.work_units - before
     return state
 
 

@@ -266,9 +266,11 @@ def handed_over(outcome: Outcome, hierarchy: Grids, run: Run) -> Outcome:
             max_steps=outcome.left,
             condensed=problem.dim * len(problem.contact.nodes) <= CONDENSED,
         )
+        most_cycles = outcome.cycles + outcome.left
         outcome = _continued(outcome, solver, "ActiveSet", start, hierarchy, run)
         if outcome.status.ok or outcome.status is Status.ROUNDING:
             return outcome
+        outcome.left = most_cycles - outcome.cycles
     if outcome.left and hierarchy.discretised and not len(problem.volumes):
         solver = Multigrid(correction=Monotone(), rtol=outcome.rtol, max_cycles=outcome.left)
         return _continued(outcome, solver, "Monotone", start, hierarchy, run)
@@ -298,16 +300,14 @@ def _continued(
     hierarchy: Grids,
     run: Run,
 ) -> Outcome:
-    """Return the outcome of another solver for the cycles that are left, added to that ``before``;
-    ``before`` if the other one gives up."""
+    """Return the outcome of another solver, with the cycles of that ``before`` added; ``before`` if the
+    other one gives up."""
     _LOG.info(
         "cycle %d: the method does not converge; going on with %s",
         before.cycles,
         method,
     )
     run.first_cycle += before.cycles
-    # the work of the start is that of the first method's nested start: the other solver sets it again
-    start_work_units = run.start_work_units
     try:
         outcome = solver.run(hierarchy, run, start)
     except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
@@ -316,13 +316,11 @@ def _continued(
         return before
     finally:
         run.first_cycle -= before.cycles
-        run.start_work_units = start_work_units
     run.fallback = f"{method} from cycle {run.first_cycle + before.cycles}"
     # Newton steps have no rate of a cycle
     return replace(
         outcome,
         cycles=before.cycles + outcome.cycles,
-        left=0 if outcome.status.ok else before.left - outcome.cycles,
         rate=np.nan if isinstance(solver, ActiveSet) else outcome.rate,
     )
 
@@ -353,5 +351,4 @@ class FinestFirst:
         if outcome.status.ok or outcome.status is Status.ROUNDING:
             return outcome
         method = FullMultigrid if self.grids.discretised else Multigrid
-        outcome.left = method.max_cycles
         return _continued(outcome, method(rtol=rtol), method.__name__, None, self.grids, run)

@@ -318,6 +318,8 @@ def test_where_the_active_set_fails_multigrid_solves(monkeypatch, singular):
     assert result.status.ok and "FullMultigrid from cycle" in result.method
     assert (np.diff(result.history["cycle"]) >= 0).all()
     assert result.cycles == result.history["cycle"][-1] and result.levels == grids.table()
+    alone = am.solve(grids, am.FullMultigrid())
+    assert result.start_work_units == pytest.approx(alone.start_work_units)
     # where that fails, too, the monotone correction goes on, on all levels
     run_multigrid = am.FullMultigrid.run
     monkeypatch.setattr(
@@ -327,6 +329,19 @@ def test_where_the_active_set_fails_multigrid_solves(monkeypatch, singular):
     )
     result = am.solve(grids)
     assert result.status.ok and "Monotone from cycle" in result.method
+
+
+def test_an_active_set_that_fails_is_not_tried_again_where_multigrid_raises(monkeypatch):
+    tries = []
+
+    def raises(self, *arguments):
+        tries.append(type(self).__name__)
+        raise np.linalg.LinAlgError("singular matrix")
+
+    for solver in (am.ActiveSet, am.FullMultigrid):
+        monkeypatch.setattr(solver, "run", raises)
+    result = am.solve(bar(), throw=False)
+    assert not result.status.ok and tries == ["ActiveSet", "FullMultigrid"]
 
 
 @pytest.mark.parametrize(
