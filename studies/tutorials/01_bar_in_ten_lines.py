@@ -4,7 +4,7 @@ The bar in ten lines
 
 A square bar is pressed on a rigid plane and pushed along it, with Coulomb friction 1. A problem,
 grids, a solve, a result: every session has these four parts. The first solve on a machine compiles
-kernels; ``adaptmg warm`` in a shell compiles all of them in one go."""
+kernels; ``adaptmg warm`` in a shell compiles nearly all of them."""
 
 import adaptmg as am
 
@@ -14,7 +14,8 @@ grids
 
 # %%
 # The four meshes are independent of one another, and four times finer at contact. The default
-# method is truncated multigrid with a nested start. Printing a result shows its status, cycles,
+# method is truncated multigrid with a nested start (of problems with at most 600 unknowns it is the active set
+# method). Printing a result shows its status, cycles,
 # work and estimated error.
 
 result = am.solve(grids)
