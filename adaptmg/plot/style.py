@@ -333,7 +333,9 @@ def plain(name: str) -> str:
 
 def titled(problem: str, text: str = "") -> str:
     """Return a title: the name of a problem, if the user has given one, before a text."""
-    return ": ".join(filter(None, ("" if problem == UNNAMED else plain(problem), text)))
+    if problem == UNNAMED:
+        return text
+    return f"{plain(problem)}: {text}" if text else plain(problem)
 
 
 def quoted(name: str) -> str:

@@ -254,7 +254,6 @@ def view_of(ax: Axes3D, corners: np.ndarray) -> None:
     areas = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    # a later view replaces the best so far only if it shows clearly more
     best = 0.0
     chosen = _VIEWS[0]
     for view in _VIEWS:
