@@ -376,7 +376,7 @@ def _advise_on_strains(posed: Posed, result: Result) -> bool:
 def _body_volumes(posed: Posed) -> np.ndarray:
     """Return the volumes (n_bodies,) of the bodies, m^2 or m^3, in axisymmetry of the full
     circumference. That of a single body is sum_f x_f . n_f / dim over its facets, with their middles x
-    and area vectors n: of 263k plane nodes .3 ms, over all elements 3.7."""
+    and area vectors n: of 263k plane nodes .2 ms, over all elements 2.1."""
     mesh = posed.mesh
     axisymmetric = posed.problem.axisymmetric
     if len(mesh.bodies) > 1 or axisymmetric:
@@ -392,13 +392,19 @@ def _energy_excludes_strains(posed: Posed, result: Result, body_volumes: np.ndar
     """Return whether u'Au is below the energy of strains STRAIN in the share SHARE of any body: at
     least C STRAIN^2 SHARE V, C its least stiffness and V its volume (``body_volumes``, m^2 or m^3).
     This spares most solves the strains. Bodies that strain without stress may have no energy."""
-    if result.checked is None or any(isinstance(x, InitialStrain) for x in posed.problem.loads):
+    if result.checked is None or any(
+        isinstance(load, InitialStrain) for load in posed.problem.loads
+    ):
         return False
-    least_stiffness = min(
-        elastic.least_stiffness * volume
-        for elastic, volume in zip(posed.materials, body_volumes, strict=True)
+    least_energy = (
+        STRAIN**2
+        * SHARE
+        * min(
+            elastic.least_stiffness * volume
+            for elastic, volume in zip(posed.materials, body_volumes, strict=True)
+        )
     )
-    return result.checked.energy_norm**2 < STRAIN**2 * SHARE * least_stiffness
+    return result.checked.energy_norm**2 < least_energy
 
 
 def _advise_on_rotations(mesh: MeshArrays, result: Result) -> None:

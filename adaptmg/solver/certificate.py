@@ -892,9 +892,13 @@ def _along(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def ratio(value: float, scale: float) -> float:
-    """Return a value over a scale: 0 for a zero value; over a zero scale 1 for another finite value, else
-    NaN."""
-    return 0.0 if value == 0.0 else float(value / (scale or value))
+    """Return a value over a scale: 0 for a zero value; over a zero scale 1 for another finite value, and
+    infinite or NaN values unchanged."""
+    if value == 0.0:
+        return 0.0
+    if scale == 0.0:
+        return 1.0 if np.isfinite(value) else float(value)
+    return float(value / scale)
 
 
 def _norm(vector: np.ndarray) -> float:

@@ -320,6 +320,8 @@ def test_a_loaded_motion_that_is_free_is_an_infinite_error():
     hovers = am.solve(hierarchy, am.SingleGrid(rtol=1e-9, omega=1.7, max_sweeps=100), throw=False)
     assert (hovers.contact.state == am.OPEN).all()
     assert hovers.certificate(discrete, bound=True).energy_error == np.inf
+    unmoved = am.solve(hierarchy, Returns(np.zeros_like(exact)), throw=False)
+    assert unmoved.certificate(discrete, bound=True).energy_error == np.inf
     # where the status may change the error is finite
     true = energy(discrete, hovers.displacement - exact) / energy(discrete, hovers.displacement)
     assert 0.67 * true <= hovers.checked.energy_error <= 1.5 * true
