@@ -38,9 +38,9 @@ from adaptmg.mesh.arrays import (
     Surface,
     element_facets,
     facet_keys,
-    facet_order,
     mask_of,
     need_mesh,
+    sorted_facet_keys,
 )
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import PointForce
@@ -168,9 +168,7 @@ def neighbours(mesh: MeshArrays) -> Neighbours:
     n_sides = mesh.dim + 1
     n = mesh.n_nodes
     facets = element_facets(mesh.elements).reshape(-1, mesh.dim)
-    keys = facet_keys(facets, n)
-    order = facet_order(facets, n)
-    keys = keys.take(order)
+    keys, order = sorted_facet_keys(facets, n)
     same = np.flatnonzero(keys[1:] == keys[:-1])
     inside = np.stack([order.take(same), order.take(same + 1)])
     boundary_keys = facet_keys(mesh.facets, n)

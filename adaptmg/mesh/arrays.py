@@ -686,43 +686,42 @@ def places_of(nodes: np.ndarray, n: int, dtype: DTypeLike = np.int64) -> np.ndar
     return places
 
 
-def _sorted_nodes(facets: np.ndarray) -> list[np.ndarray]:
-    """Return the nodes of facets (n, dim), the lowest (n,) of each first."""
-    nodes = np.ascontiguousarray(facets.T)
-    lowest = nodes.min(axis=0)
-    highest = nodes.max(axis=0)
-    middle = [nodes.sum(axis=0) - lowest - highest] if len(nodes) == 3 else []
-    return [lowest, *middle, highest]
-
-
 def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
     """Return one integer a facet, the same for every order of its nodes."""
     dim = facets.shape[1]
     if n_nodes > MOST_NODES[dim]:
         raise ValueError(f"a {dim}D mesh may have at most {MOST_NODES[dim]} nodes, got {n_nodes}")
-    keys, *rest = _sorted_nodes(facets)
-    for nodes in rest:
-        keys = pair_keys(keys, nodes, n_nodes)
-    return keys
+    nodes = np.ascontiguousarray(facets.T)
+    lowest = nodes.min(axis=0)
+    highest = nodes.max(axis=0)
+    if dim == 2:
+        return pair_keys(lowest, highest, n_nodes)
+    middle = nodes.sum(axis=0) - lowest - highest
+    return pair_keys(pair_keys(lowest, middle, n_nodes), highest, n_nodes)
 
 
-def facet_order(facets: np.ndarray, n_nodes: int) -> np.ndarray:
-    """Return the order of facets (n, dim) by key, equal ones as they come, by counting nodes from the
-    highest to the lowest: 116 000 edges take 1.2 ms, a sort of their keys 3.2 to 5.6."""
-    order = np.arange(len(facets), dtype=np.int32)
-    for nodes in reversed(_sorted_nodes(facets)):
-        order = order.take(occurrences(nodes.take(order), n_nodes)[1])
-    return order
+def sorted_facet_keys(facets: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ascending keys (n,) of facets (n, dim) and the order of the facets, equal ones as they
+    come. Edges are sorted by counting: 106 000 of a bisected mesh take 1.2 ms, with a sort of their keys
+    3.1 to 5.2. For facets of solids the sort is as fast on a graded mesh (173 000: 4.3 ms, counting 4.2)
+    and faster on a lattice (648 000: 5.6 ms, counting 22)."""
+    keys = facet_keys(facets, n_nodes)
+    if facets.shape[1] == 3:
+        order = np.argsort(keys, kind="stable")
+    else:
+        first, second = facets.T
+        _, by_highest = occurrences(np.maximum(first, second), n_nodes)
+        _, by_lowest = occurrences(np.minimum(first, second).take(by_highest), n_nodes)
+        order = by_highest.take(by_lowest)
+    return keys.take(order), order
 
 
 def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
     """Return all distinct facets of a mesh."""
     dim = elements.shape[1] - 1
     facets = element_facets(elements).reshape(-1, dim)
-    keys = facet_keys(facets, n_nodes)
     # a facet of two elements stands there twice: once sorted, in adjacent rows
-    order = facet_order(facets, n_nodes)
-    keys = keys[order]
+    keys, order = sorted_facet_keys(facets, n_nodes)
     start = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
     counts = np.diff(np.r_[start, len(keys)])
     shared = counts > 1
