@@ -63,7 +63,15 @@ from adaptmg.mesh.sizes import (
 )
 from adaptmg.mesh.slits import opened_tables
 from adaptmg.mesh.soundness import check_mesh, least_angle
-from adaptmg.mesh.surfaces import FLAT, Misplaced, Revolved, candidates, onto_surfaces, surfaces_of
+from adaptmg.mesh.surfaces import (
+    FLAT,
+    Misplaced,
+    Revolved,
+    candidates,
+    onto_surfaces,
+    surfaces_of,
+    surfaces_through,
+)
 from adaptmg.problem.combined_domains import Cracked, normal_of
 from adaptmg.problem.plane_domains import Box, Domain, Outline
 from adaptmg.problem.solid_domains import Cylinder, Moved, SolidDomain, StepFile
@@ -560,13 +568,10 @@ def _round_nodes(shape: Shape, size: float) -> float:
     edge; about half of these are counted."""
     nodes = 0.0
     for area, samples in zip(shape.areas, shape.samples, strict=True):
-        of_face = candidates([samples])
-        if not of_face or not of_face[0]:
-            continue
-        surface = of_face[0][0]
-        edge = surface.extent / _CURVATURE
-        if (surface.cylinder or surface.sphere) and 0 < edge < size:
-            nodes += 0.6 * area / edge**2
+        for surface in surfaces_through(samples)[:1]:
+            edge = surface.extent / _CURVATURE
+            if (surface.cylinder or surface.sphere) and 0 < edge < size:
+                nodes += 0.6 * area / edge**2
     return nodes
 
 

@@ -23,7 +23,7 @@ from adaptmg._files import file_size
 from adaptmg.mesh.exact import surfaces_of
 from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, netgen, read_s
 from adaptmg.mesh.netgen_meshes import Shape, StepSolid, built_shape
-from adaptmg.mesh.surfaces import Revolved, candidates
+from adaptmg.mesh.surfaces import Revolved, surfaces_through
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.solid_domains import StepFile
 from adaptmg.problem.surfaces import ContactPair
@@ -305,7 +305,7 @@ def touching(
         pairs: dict[tuple[str, str], ContactPair] = {}
         for solid, other in combinations(solids, 2):
             for a, b in product(faces_of[solid], faces_of[other]):
-                # chords of round faces stay behind them: boxes count a twentieth of the smaller face larger
+                # chords of round faces stay behind them: boxes may be a twentieth of the smaller one apart
                 slack = reach + 0.05 * min(np.ptp(a.box, axis=0).max(), np.ptp(b.box, axis=0).max())
                 if (a.box[0] > b.box[1] + slack).any() or (b.box[0] > a.box[1] + slack).any():
                     continue
@@ -343,8 +343,8 @@ def _face(shape: Shape, number: int, name: str, triangles: np.ndarray = _NONE) -
     """Return a face of a shape in m; its kind is that of the surface through its samples."""
     kind = "other"
     radius = np.nan
-    if surfaces := candidates(shape.samples[number : number + 1]):
-        surface = surfaces[0][0]
+    if surfaces := surfaces_through(shape.samples[number]):
+        surface = surfaces[0]
         kind = "cone or torus"
         if surface.plane:
             kind = "plane"
@@ -428,8 +428,9 @@ def _read_surfaces(
         for body, solid in solids.items():
             shape = built_shape(worker, solid)
             for face, samples in zip(shape.names, shape.samples, strict=True):
-                found = candidates([samples])
-                surfaces = [] if found is None else found[0]
-                moved = [surface.moved(np.eye(3), shape.lower, shape.scale) for surface in surfaces]
+                moved = [
+                    surface.moved(np.eye(3), shape.lower, shape.scale)
+                    for surface in surfaces_through(samples)
+                ]
                 faces.setdefault(f"{body}.{face}", []).append(moved)
     return {name: list(chain(*patches)) for name, patches in faces.items() if all(patches)}

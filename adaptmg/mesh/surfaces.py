@@ -193,7 +193,8 @@ def nearest(
     if not len(corners):
         return number
     best = np.full(len(corners), near * np.linalg.norm(np.ptp(corners, axis=(0, 1))))
-    # planes first: a curved surface is taken only where it fits better by more than rounding
+    # planes first: a curved surface is taken only where it fits better by more than checks.ALIKE of the
+    # length
     for k in sorted(range(len(surfaces)), key=lambda k: not surfaces[k].plane):
         surface = surfaces[k]
         # the largest distance of a corner
@@ -220,8 +221,8 @@ def in_space(points: np.ndarray) -> np.ndarray:
 
 def surface_through(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     """Return the plane, sphere, cylinder, cone or torus (the latter two by :func:`_turned`) with some
-    points (n, 3) and unit normals there, None if there is none. Lengths are in units of the extent of
-    the solid, of which checks.ALIKE is a part."""
+    points (n, 3) and unit normals there, None if there is none. The extent of the solid is about 1, and
+    points lie on the surface up to checks.ALIKE."""
     if not (np.isfinite(points).all() and np.isfinite(normals).all()):
         return None
     centre = points.mean(axis=0)
@@ -289,13 +290,17 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
 
 
 def candidates(samples: Sequence[np.ndarray]) -> list[list[Revolved]] | None:
-    """Return for each face the surfaces that its samples lie on, patches (n_patches, n, 6) of n points
-    and normals; None if the samples of a face lie on no known surface."""
-    found = [
-        [s for patch in patches if (s := surface_through(patch[:, :3], patch[:, 3:])) is not None]
-        for patches in samples
-    ]
-    return found if all(found) else None
+    """Return for each face the surfaces that its ``samples`` lie on (:func:`surfaces_through`); None if
+    those of a face lie on no known surface."""
+    surfaces_of_faces = [surfaces_through(patches) for patches in samples]
+    return surfaces_of_faces if all(surfaces_of_faces) else None
+
+
+def surfaces_through(patches: np.ndarray) -> list[Revolved]:
+    """Return the surfaces that patches (n_patches, n, 6) of n points and normals of a face lie on, none
+    for patches that lie on no known surface."""
+    surfaces = [surface_through(patch[:, :3], patch[:, 3:]) for patch in patches]
+    return [surface for surface in surfaces if surface is not None]
 
 
 def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> list[Revolved]:
