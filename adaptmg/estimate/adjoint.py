@@ -115,14 +115,17 @@ def linearised_contact(
     force[:, 1:][held] = 0.0
     slip_length = np.linalg.norm(slip, axis=1)
     at_rest = slip_length <= checks.ROUNDING * np.abs(unknowns).max(initial=0.0)
-    is_sticking, is_slipping = _friction_states(state, nodal.limit > 0, at_rest)
-    # friction g f of the limit g = limit + mu |pressure| in the direction f = -s/|s| against the slip s:
-    # its derivative by the pressure is mu f
+    # open nodes stick or slip, too, where friction does not need pressure, as of Tresca's law
+    is_open_with_friction = (state == State.OPEN) & (nodal.limit > 0)
+    is_sticking = (state == State.STICK) | (is_open_with_friction & at_rest)
+    is_slipping = (state == State.SLIP) | (is_open_with_friction & ~at_rest)
+    # friction g f with the limit g = limit + mu |normal force| in the direction f = -s/|s| against the
+    # slip s: its derivative by the normal force is mu f
     friction_direction = _opposite(slip, slip_length, force[:, 1:])
     friction_by_pressure = np.where(
         (state == State.SLIP)[:, None], nodal.friction[:, None] * friction_direction, 0.0
     )
-    # and that by the slip is -H, H = g/|s| (I - f f')
+    # and that by the slip is -H with H = g/|s| (I - f f')
     limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
     moves = is_slipping & (slip_length > 0)
     stiffness = np.where(moves, limit / np.where(moves, slip_length, 1.0), 0.0)
@@ -150,17 +153,6 @@ def linearised_contact(
         free=free,
         held=held,
     )
-
-
-def _friction_states(
-    state: np.ndarray, always_rubs: np.ndarray, at_rest: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the masks (n,) of nodes that stick and that slip. Open nodes do neither, unless Tresca's
-    friction, which needs no pressure, acts at them (``always_rubs``): then they stick ``at_rest``, and
-    else slip."""
-    rubs_open = (state == State.OPEN) & always_rubs
-    sticks = (state == State.STICK) | (rubs_open & at_rest)
-    return sticks, (state == State.SLIP) | (rubs_open & ~at_rest)
 
 
 def _opposite(slip: np.ndarray, length: np.ndarray, force: np.ndarray) -> np.ndarray:

@@ -370,11 +370,9 @@ _BOUNDARY = {2: 1 / 2, 3: 0.6}
 def simplex_sizes(mesh: MeshArrays) -> np.ndarray:
     """Return the edge length (n_elements,), m, of the equilateral element with the same area or
     volume."""
-    return (
-        np.sqrt(mesh.volumes * (4 / math.sqrt(3)))
-        if mesh.dim == 2
-        else np.cbrt(mesh.volumes * (6 * math.sqrt(2)))
-    )
+    if mesh.dim == 2:
+        return np.sqrt(mesh.volumes * (4 / math.sqrt(3)))
+    return np.cbrt(mesh.volumes * (6 * math.sqrt(2)))
 
 
 def nodal_sizes(mesh: MeshArrays, sizes: np.ndarray) -> np.ndarray:

@@ -210,7 +210,8 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
     change = np.inf
     if values.shape == old_values.shape:
         change = np.abs(values + errors - old_values - old_errors)
-    return bool(((errors * old_errors > 0) & (change <= np.abs(errors))).all())
+    same_sign = errors * old_errors > 0
+    return bool((same_sign & (change <= np.abs(errors))).all())
 
 
 def _values_and_errors(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
@@ -351,7 +352,7 @@ class AdaptiveLoop:
                 yield self._solve(*self._grown(last, mesh))
 
     def _reason_to_end(self, last: Step) -> str:
-        """Return the reason to end the loop that the estimate does not give; "" to go on."""
+        """Return the reason to end the loop that its time or its load path gives; "" to go on."""
         limits = self.limits
         every = self.parts.remesh_every
         if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
@@ -432,8 +433,8 @@ class AdaptiveLoop:
             grown = appended(before, mesh, self.parts.engine)
             start = carried(grown, len(before) - 1, last.result)
             grown = thinned(grown, last=self._is_near_limit(mesh.n_nodes))
-        # the seconds that the hierarchy spent in phases of its own are not those of choosing levels; those
-        # of compiling are no phase, and the clock has counted them
+        # the seconds of the phases of the hierarchy are not those of choosing levels; compiling is not a
+        # phase, and the clock has counted it
         for name, seconds in grown.timings.items():
             if name != "compiling":
                 spent = seconds - before.timings.get(name, 0.0)
@@ -493,7 +494,9 @@ class AdaptiveLoop:
         """Return the load steps of mesh ``number``, from the state of the last one if the path goes
         on from mesh to mesh."""
         parts = self.parts
-        solver = parts.solver or FullMultigrid(rtol=RTOL if parts.rtol is None else parts.rtol)
+        solver = parts.solver
+        if solver is None:
+            solver = FullMultigrid(rtol=RTOL if parts.rtol is None else parts.rtol)
         # a first mesh has one level, which multigrid cannot use: solve_path then chooses the method
         solver = solver if _applies(solver, hierarchy) else None
         rtol = parts.rtol if solver is None else None

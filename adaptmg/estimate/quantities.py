@@ -97,8 +97,8 @@ class GoalView:
         contact = linearised_contact(
             discrete, u, np.where(states[at] == _NONE, State.OPEN, states[at])
         )
-        # H = g/|s| (I - f f') is left out: the limits g would come from A u - b, which is no contact force
-        # of the interpolated u
+        # H = g/|s| (I - f f') is left out: the limits g would come from A u - b, which is not a contact
+        # force of the interpolated u
         contact = replace(contact, hessian=np.zeros_like(contact.hessian))
         return GoalView(self.problem, mesh, u, contact, self), made.origin
 
@@ -591,8 +591,8 @@ class Opening:
         return [Functional(name, float(coefficients @ contact.gap), "m", vector.reshape(-1))]
 
     def _shape_values(self, view: GoalView, facets: np.ndarray) -> np.ndarray:
-        """Return the shape functions (n_contact,) of the contact nodes at the point, by the one of the
-        ``facets`` that is nearest to it."""
+        """Return the shape functions (n_contact,) of the contact nodes at the point, on the nearest
+        of the ``facets``."""
         mesh = view.mesh
         point = np.array(self.point)
         if len(point) != mesh.dim:

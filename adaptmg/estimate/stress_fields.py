@@ -98,11 +98,9 @@ class ElementStress:
     def of_hoop(self) -> np.ndarray:
         """Return the stresses rr, zz, hoop, rz (n_elements, 4), Pa, of a hoop strain of 1, which varies
         within linear elements."""
-        return (
-            np.zeros((len(self.mesh.elements), 4))
-            if self.data.smoothed
-            else self.data.of_elements(self.mesh).of_hoop()
-        )
+        if self.data.smoothed:
+            return np.zeros((len(self.mesh.elements), 4))
+        return self.data.of_elements(self.mesh).of_hoop()
 
     def tractions(
         self, elements: np.ndarray, normals: np.ndarray, facets: np.ndarray, rule: np.ndarray
@@ -252,7 +250,7 @@ class Solved:
         """Return ||u_h||_A, sqrt(N m), of the displacement with prescribed values."""
         unknowns, forces = self._unknowns_and_forces  # u, and A'u + (B (I - Z))'p
         # u'Au = u'A'u - 2 u . load + constant where inclined supports prescribe ubar along Z (see
-        # discrete.supports); without initial strains the terms are only those
+        # discrete.supports); ``strain_free`` has the two terms, without those of initial strains
         parts = self.discrete.parts_under(
             forces, unknowns, strain_free=None, volumes=self.discrete.volumes
         )

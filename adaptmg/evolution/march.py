@@ -330,7 +330,7 @@ class March:
 
     def _overlap(self, displacement: np.ndarray) -> np.ndarray:
         """Return the overlap (n_contact,), m, at contact nodes: the normal displacement minus the initial
-        gap, which is minus the present gap; of a node that takes over a part of others the sum."""
+        gap, which is minus the present gap; a sum at nodes that take over a part of others."""
         discrete = self.discrete
         moved = discrete.at_contact(discrete.relative(displacement))
         return np.einsum("nd,nd->n", discrete.contact.normals, moved) - discrete.contact.gaps
@@ -479,13 +479,12 @@ class March:
     def _contact_losses(self, contact: ContactResult) -> tuple[float, float]:
         """Return the energies -F . (u^(k+1) - u^k), N m, that friction takes on slips, and normal forces on
         the change g^(k+1) - g^k of gaps."""
-        # the condition of a node that takes over the shares V of others is a sum with weights of sum
-        # 1 + sum(V) = measures / weights; forces in results are sums, too, slips and gaps are the means
+        # the force F of a node that takes over the shares V of others acts with V F on these: its work is
+        # F times the sum of slips or gaps with the weights 1 and V, of which results have the means
         weight_sums = contact.measures / contact.weights
         friction_work = np.sum(contact.force_t * contact.slip, axis=1)
-        # weight_sums * gap is the sum of the new gaps g^(k+1), and the overlap before the step is -g^k, a
-        # sum as well: together they are the opening g^(k+1) - g^k
-        # only of closed nodes: at open ones the tolerance leaves forces, and gaps may be long
+        # the overlap before the step is the sum of -g^k. Only of closed nodes: at open ones the tolerance
+        # leaves forces, and gaps may be long
         opening = (self._overlap(self.displacement) + weight_sums * contact.gap) * contact.closed
         return -np.sum(weight_sums * friction_work), -np.sum(contact.force_n * opening)
 

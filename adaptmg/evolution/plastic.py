@@ -176,7 +176,8 @@ class PlasticLoop(PathLoop):
 
 def _state_of(result: Result) -> np.ndarray:
     """Return the states of the plastic patches at the end of a step."""
-    return cast("PlasticState", cast("StressData", result.stress_data).plastic).state
+    data = cast("StressData", result.stress_data)
+    return cast("PlasticState", data.plastic).state
 
 
 class _Newton:
