@@ -63,13 +63,13 @@ def _levels(step: TruncatedStep) -> list[CorrectionLevel]:
     for number in range(step.number - 1, -1, -1):
         prolongation = levels[number + 1].prolongation
         fixed = mask_of(levels[number].matrix.fixed, prolongation.shape[1])
-        # columns of fixed coarse nodes are zero: values there do not reach the finer levels
+        # columns of fixed coarse nodes are empty, as the product stores no zeros: values there do not
+        # reach the finer levels
         free = sparse.diags_array((~fixed).astype(float))
         fine.prolongation = sparse.csr_array(prolongation @ free)
         fine.restriction = sparse.csr_array(fine.prolongation.T)
         # coarse nodes are contact nodes where they reach some of the fine ones
         contact_rows = fine.prolongation[fine.system.nodes]
-        contact_rows.eliminate_zeros()
         nodes = np.unique(contact_rows.indices)
         fine.contact_prolongation = contact_rows[:, nodes]
         system = LocalSystem.from_matrix(step.base_matrix(number), fixed, nodes)
