@@ -52,8 +52,8 @@ _MESHING = {2: 20e-6, 3: 150e-6}
 #: processor seconds of the start on the coarsest level: per m^3 of m contact unknowns, whose matrix is dense, in about
 #: 45 steps (balls between planes, m 876 and 2112: .7 and 9.5 s)
 _DENSE = 1e-9
-#: and per n^(3 - 3/dim) of n unknowns, of sparse factors (block of 14 739 and sphere on a block of 6564: 2 seconds;
-#: right to a factor of 2.2)
+#: and per n^(3 - 3/dim) of n unknowns, of sparse factors (block of 14 739 and sphere on a block of 6564: 2 s each, for
+#: which this gives 4.3 and .9 s)
 _SPARSE = 2e-8
 _MOST_LEVELS = 40  # as of a range that is meant for one number
 
@@ -373,9 +373,10 @@ class Hierarchy(Grids):
     def forecast(self, finer: float = 1.0) -> Forecast:
         """Return the memory and time that a solve will take, from measured costs.
 
-        They are proportional to the nodes n, for scalar problems to n / dim^2, as matrices have that
-        fewer entries; meshes other than lattices add a time proportional to n, and the coarsest level,
-        of N unknowns of which m are in contact, times proportional to m^3 and N^(3 - 3 / dim).
+        They are proportional to the number n of nodes, for scalar problems to n / dim^2, as their blocks
+        have one entry in place of dim^2. Meshes other than lattices add a time proportional to n, and
+        the coarsest level, of N unknowns of which m are in contact, adds times proportional to m^3 and
+        N^(3 - 3 / dim).
 
         Parameters
         ----------
@@ -501,7 +502,7 @@ def _notes_on_extent(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     extent = np.ptp(domain_box, axis=0).max()
     beyond = np.abs(mesh_box - domain_box)
     if problem.domain.loose_box:
-        # the body may be a part of the box; below a hundredth of it lengths have other units
+        # the body may be a part of the box; below a hundredth of it the lengths are likely to have another unit
         is_part = np.ptp(mesh_box, axis=0).max() > 0.01 * extent
         outwards = (mesh_box - domain_box) * [[-1.0], [1.0]]
         beyond = np.maximum(outwards, 0.0 if is_part else beyond)

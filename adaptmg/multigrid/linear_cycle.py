@@ -195,9 +195,9 @@ class LinearCycle:
             :class:`~adaptmg.multigrid.truncated_parts.Truncated` refuses ``coarse_solve`` and
             ``coarse_smoother``, which would have no effect.
 
-        In both kinds of cycles ``coarse_solve`` replaces the LU factors of the coarsest problem, and
-        one call of ``coarse_smoother`` replaces all sweeps before, and one all sweeps after the coarse
-        correction of each level above it."""
+        In both kinds of cycles ``coarse_solve`` replaces the LU factors of the coarsest problem. On
+        each level above it one call of ``coarse_smoother`` replaces all sweeps before the coarse
+        correction, and another one all sweeps after it."""
         self.levels: list[LinearLevel] = []
         self.recorder = recorder
         self.coarse_smoother = coarse_smoother

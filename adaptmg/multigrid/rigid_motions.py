@@ -40,8 +40,9 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(rows, axis=0)
     size[size == 0] = 1.0
     scaled = rows / size  # columns of length 1, or 0
-    # a cheap exit, which costs k x k: the squares of the singular values are the eigenvalues of the
-    # Gram matrix. The largest one is 1 at least, so that none is below 1e-3 here, far above ALIKE
+    # regular rows end here: the squares of the singular values are the eigenvalues of the k x k Gram
+    # matrix. Without zero columns their mean is 1 and the largest one is at least 1: then the least
+    # singular value is above 1e-3, far above ALIKE
     squares = np.linalg.eigvalsh(scaled.T @ scaled) if rows.size else np.zeros(1)
     if squares[0] > checks.SIX_DIGITS * squares[-1]:
         return np.empty((rows.shape[1], 0))

@@ -109,7 +109,7 @@ class SplitMatrix:
         return np.abs(blocks.diagonal(axis1=1, axis2=2)).reshape(-1)
 
     def drop_diagonal(self) -> None:
-        """Free the diagonal blocks, which :meth:`at_slots`, :meth:`matrix` and
+        """Free the diagonal blocks, which :meth:`at_slots`, :meth:`dense`, :meth:`matrix` and
         :attr:`diagonal_sizes` need."""
         self.diagonal = np.empty(0)
 

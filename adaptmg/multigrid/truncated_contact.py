@@ -45,8 +45,8 @@ Instance = TypeVar("Instance")
 
 
 def with_fields(instance: Instance, **changes: object) -> Instance:
-    """Return a copy of a dataclass with some fields changed, in a fifth of the time of
-    dataclasses.replace."""
+    """Return a copy of a dataclass with some fields changed; a state of 19 fields takes an eighth of
+    the time of dataclasses.replace."""
     result = object.__new__(type(instance))
     vars(result).update(vars(instance), **changes)
     return result

@@ -496,7 +496,7 @@ class TruncatedStep:
     def distance(self, first: np.ndarray, second: np.ndarray) -> float:
         """Return the A-norm of the difference d of two displacements (n_dofs,); half a pass.
 
-        With A = L + D + L' it is d'D d + 2 d'L d. The rows of L are stored in the order of the sweeps,
+        With A = L + D + L' its square is d'D d + 2 d'L d. The rows of L are stored in the order of the sweeps,
         ``strips.order``. The sweeps store D by the inverses of its blocks, ``inverse``, which are
         inverted back here."""
         matrix = self.matrix

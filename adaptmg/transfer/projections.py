@@ -189,8 +189,7 @@ class L2(_Projection):
         result, reached = interpolation.clipped_rows(
             rows, coarse, fine, tolerance=_DROP, moments=moments
         )
-        # rows that cannot have their moments any more are replaced by those of the local projection;
-        # with_contact_rows replaces rows of any nodes
+        # rows that cannot have their moments any more are replaced by those of the local projection
         missed = np.flatnonzero(~reached)
         return (
             with_contact_rows(result, missed, PseudoL2()._rows(integrals)[missed])
