@@ -14,11 +14,9 @@ from common import Output, chain, drawing, exact, gain, grids, main, measured, p
 
 import adaptmg as am
 
-PROBLEM, COUNTS, TARGET = (
-    "GRECO bar",
-    [2, 3, 4],
-    1e-6,
-)  # one of common.PROBLEMS, numbers of grids, true error
+PROBLEM = "GRECO bar"  # one of common.PROBLEMS
+COUNTS = [2, 3, 4]  # numbers of grids
+TARGET = 1e-6  # true error
 MONOTONE = am.FullMultigrid(
     correction=am.Monotone(),
     cycle=am.Cycle(shape="complete"),

@@ -172,10 +172,17 @@ def test_the_campaign_of_loops_sees_spoilt_meshes():
 @pytest.mark.slow
 def test_table_1_is_made_for_another_problem_and_other_numbers_of_grids(tmp_path, monkeypatch):
     """The recipe of the how-to "Short answers"."""
-    table = load("table_1_grids")
-    monkeypatch.setattr(table, "PROBLEM", "curved obstacle")
-    monkeypatch.setattr(table, "COUNTS", [3, 5])
-    out = table.Output("table_1_grids", tmp_path, quick=True)
+    text = (STUDIES / "table_1_grids.py").read_text(encoding="utf-8")
+    for before, after in (
+        ('PROBLEM = "GRECO bar"', 'PROBLEM = "curved obstacle"'),
+        ("COUNTS = [2, 3, 4]", "COUNTS = [3, 5]"),
+    ):
+        assert before in text
+        text = text.replace(before, after)
+    (tmp_path / "table_1_curved.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    table = load("table_1_curved")
+    out = table.Output("table_1_curved", tmp_path, quick=True)
     table.study(out)
     first = pd.read_csv(out.folder / "table_1.csv", dtype=str).set_index("method")
     assert list(first) == ["1 grid", "3 grids", "5 grids"]
