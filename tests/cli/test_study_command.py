@@ -33,6 +33,18 @@ if __name__ == "__main__":
     raise SystemExit("not run")
 """
 ONE = "import adaptmg as am\nstudy = am.Study(lambda n: {'m': 2 * n}, {'n': [1, 2, 3]}, 'one.sqlite', name='one')\n"
+RECORDING = """
+import json
+import pathlib
+import adaptmg as am
+
+class Recording(am.Study):
+    def run(self, **options):
+        pathlib.Path("options.json").write_text(json.dumps(options), encoding="utf-8")
+        return super().run(progress=False)
+
+study = Recording(lambda n: {"m": n}, {"n": [1, 2]}, "recording.sqlite")
+"""
 
 
 def written(text: str = SCRIPT) -> str:
@@ -80,41 +92,27 @@ def test_scripts_run_their_study_on_workers_with_their_neighbours(command):
     assert code == 0 and [row["m"] for row in json.loads(out)["rows"]] == [3, 6], err
 
 
-def test_options_reach_the_study(command, monkeypatch):
-    given, run = {}, am.Study.run
-    monkeypatch.setattr(
-        am.Study, "run", lambda self, **options: given.update(options) or run(self, progress=False)
+def test_options_reach_the_study(command):
+    options = (
+        *("--workers", "2", "--rerun", "--retry-failed"),
+        *("--limit-s", "9", "--memory-limit", "1e9"),
     )
-    assert (
-        command(
-            "study",
-            written(),
-            "--workers",
-            "2",
-            "--rerun",
-            "--retry-failed",
-            "--store",
-            "two.sqlite",
-            "--limit-s",
-            "9",
-            "--memory-limit",
-            "1e9",
-        )[0]
-        == 0
-    )
-    assert (
-        given
-        == {
-            "progress": None,
-            "workers": 2,
-            "scheduler": None,
-            "rerun": True,
-            "retry_failed": True,
-            "limit_s": 9.0,
-            "memory_limit": 1e9,
-        }
-        and Path("two.sqlite").exists()
-    )
+    assert command("study", written(RECORDING), *options)[0] == 0
+    assert json.loads(Path("options.json").read_text(encoding="utf-8")) == {
+        "progress": None,
+        "workers": 2,
+        "scheduler": None,
+        "rerun": True,
+        "retry_failed": True,
+        "limit_s": 9.0,
+        "memory_limit": 1e9,
+    }
+
+
+def test_a_script_without_a_study_is_stored_where_an_option_says(command):
+    text = "parameters = {'n': [1, 2]}\ndef run(n): return {'m': n}\n"
+    assert command("study", written(text), "--store", "two.sqlite")[0] == 0
+    assert len(Store("two.sqlite").get("bar")) == 2 and not Path("results").exists()
 
 
 def test_a_run_that_fails_ends_with_code_1_and_can_be_repeated(command):
