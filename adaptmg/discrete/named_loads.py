@@ -66,7 +66,7 @@ class LoadSteps:
         fixed_values = self.fixed_values(factors)
         gaps = None
         change = fixed_values - discrete.fixed_values
-        # where supports rest, no gap closes: to find that takes 4 % of a path of 20 steps with 4225 nodes
+        # where supports rest, gaps stay: computing them takes 4 % of a path of 20 steps with 4225 nodes
         if self.posed is not None and change.any():
             approached = self.posed.approached(change.reshape(discrete.n_nodes, -1))
             gaps = discrete.contact.gaps - approached

@@ -383,7 +383,7 @@ class Posed(Boundaries):
         """Return the nodes that carry contact conditions, in ascending order, with the gaps that
         the motion of supports leaves them."""
         contact = self._contact_nodes(self.rows)
-        if not self.prescribed.any():  # .05 of 1.1 ms that a level of 81 nodes takes
+        if not self.prescribed.any():  # a level of 81 nodes takes .88 ms in place of 1.09
             return contact
         return replace(contact, gaps=contact.gaps - self.approached(self.prescribed))
 

@@ -95,7 +95,7 @@ class Inclined:
     def remove_held(self, vector: np.ndarray) -> np.ndarray:
         """Remove from a vector (n_dofs,), in place, its parts along the directions that are held, and
         return it."""
-        if len(self):  # 14 us with no nodes
+        if len(self):  # 5 us with no nodes
             vector.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
         return vector
 
