@@ -119,7 +119,8 @@ class LoadSteps:
                 names = dict.fromkeys(
                     other.support.path_name
                     for other in self.holds
-                    if node in other.nodes and other.direction @ hold.direction != 0
+                    if node in other.nodes
+                    and np.abs(other.direction @ hold.direction) > checks.ALIKE
                 )
                 raise ValueError(
                     f"the factors of {' and '.join(map(repr, names))} prescribe different displacements at "
