@@ -415,4 +415,6 @@ def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
             bounds[:, on_boundary] = law.bounds(n)
             if isinstance(law, FollowsState):
                 following.append((law, np.flatnonzero(on_boundary)))
-    return NodalStateLaw(bounds[0], bounds[1], tuple(following)) if following else NodalLaw(*bounds)
+    if following:
+        return NodalStateLaw(bounds[0], bounds[1], tuple(following))
+    return NodalLaw(*bounds)

@@ -194,11 +194,9 @@ class StressData:
     def tensors(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Return the stress tensors (n_elements, 3, 3) as of :func:`full_stress`; where there are
         plastic bodies those of the displacement of the result."""
-        return (
-            self._stress(mesh, self._elastic(mesh, displacement))
-            if self.plastic is None
-            else self.plastic.stress.copy()
-        )
+        if self.plastic is not None:
+            return self.plastic.stress.copy()
+        return self._stress(mesh, self._elastic(mesh, displacement))
 
     def strains(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Return strain tensors (n_elements, 3, 3) with initial strains, through the thickness and
