@@ -205,11 +205,12 @@ class ContactNodes:
 
     @property
     def measures(self) -> np.ndarray:
-        """Return the boundary measures w_j (1 + sum_i V_ji) (n,) of contact nodes j and the nodes i of
-        which they take over the shares V (``taken_over``), with the weights w.
+        """Return the boundary measures w_j (1 + sum_i V_ji) (n,): the weights w_j of contact nodes j, and
+        the parts of the nodes i of which they take over the shares V (``taken_over``).
 
-        The condition of such a node is a sum: its gap is g_j + sum_i V_ji g_i, so that ``measures /
-        weights`` is the sum over the mean."""
+        The condition of such a node is a sum: its gap is g_j + sum_i V_ji g_i, which is ``measures /
+        weights`` times the mean gap. A node i that both surfaces share, as the tip of a crack, does
+        not open: g_i is 0 in this sum and in the mean."""
         return self.weights * (1 + self.taken_over.sum(axis=1))
 
 
@@ -384,7 +385,7 @@ class Bounds(checks.Checked):
 
 def _open_limits(name: str, limit: ArrayLike, shape: tuple[int, ...], closing: float) -> np.ndarray:
     """Return limits (n_dofs,) from a number for all dofs or an array of this shape; ValueError if one is
-    the infinity ``closing``, which leaves no room."""
+    the infinity ``closing``, which no displacement satisfies."""
     limits = _limits(name, np.full(shape, limit) if np.ndim(limit) == 0 else limit, shape)
     if (limits == closing).any():
         raise ValueError(f"{name} must be {'<' if closing > 0 else '>'} {closing}, got {closing}")
@@ -432,8 +433,8 @@ def check_size(name: str, size: float) -> None:
 
 
 def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
-    """Return a boolean mask over dofs that nobody can change: the array itself if it is read-only and
-    owns its data, else a read-only copy."""
+    """Return a read-only boolean mask over dofs: the array itself if it is read-only and owns its data,
+    else a copy."""
     # the entries of a list stay objects, or numpy would turn True in [True, 1] into a number
     mask = np.asarray(value) if hasattr(value, "dtype") else np.array(value, dtype=object)
     if mask.dtype != bool and not all(

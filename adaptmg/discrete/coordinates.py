@@ -189,8 +189,8 @@ def held_slaves(
         # a component is held at the node, and at nothing that it faces
         held = fixed[nodes] & (facing @ fixed.astype(float) <= checks.SIX_DIGITS)
         return np.flatnonzero(rubs & held.any(axis=1))
-    # with the projection P of a node, and the weighted sum F of those of the nodes that it faces: the
-    # least t'Ft of unit vectors t that are held at the node, as I - P has 1 for others
+    # P is the projection of a node, F the weighted sum of the projections of the nodes that it faces. The
+    # least eigenvalue is the least t'Ft of unit vectors t that are held at the node: I - P gives others 1
     identity = np.eye(fixed.shape[1])
     spans = fixed[:, :, None] * identity + inclined.at(np.arange(len(fixed)))
     of_facing = (facing @ spans.reshape(len(fixed), -1)).reshape(len(nodes), *identity.shape)
@@ -300,8 +300,10 @@ class Unknowns:
     def load_from_prescribed(self) -> np.ndarray:
         """Return the load b - A u_fixed (n_dofs,), N, of unknowns from the prescribed values, zero
         along held directions; see :meth:`from_prescribed`."""
-        moved = self.fixed_values.any()
-        return self.free_part(self.load - self.matrix @ self.fixed_values if moved else self.load)
+        load = self.load
+        if self.fixed_values.any():
+            load = load - self.matrix @ self.fixed_values
+        return self.free_part(load)
 
     def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the displacement (n_contact, dim) of the contact nodes relative to the nodes that they
@@ -367,9 +369,9 @@ class Unknowns:
         """Return tangents (n_contact, dim - 1, dim) of contact nodes, which face others by the weights
         ``facing`` (n_contact, n_nodes).
 
-        They are those of the frames. Only where supports hold all tangents, and the frame is arbitrary,
-        the first one is the direction along which supports hold a faced node, if they leave that
-        the other tangent."""
+        They are those of the frames, except where supports hold a node along all tangents, so that its
+        frame is arbitrary. If they hold a node that it faces along a single tangent direction, this
+        is the first tangent."""
         frames = frames_of(self)
         tangents = frames[:, 1:]
         if self.dim < 3:
@@ -377,11 +379,11 @@ class Unknowns:
         nodes = self.contact.nodes
         is_clamped = self._held_along(nodes, frames[:, 1]) & self._held_along(nodes, frames[:, 2])
         for i in np.flatnonzero(is_clamped):
-            across = tangents[i].T @ tangents[i]  # the projection onto the tangent plane
-            spans = across @ self.held_spans(facing[[i]].indices) @ across
-            in_one_plane = np.abs(np.einsum("nii->n", spans) - 1) < checks.SIX_DIGITS
-            if in_one_plane.any():
-                first = np.linalg.eigh(spans[np.argmax(in_one_plane)])[1][:, -1]
+            to_tangents = tangents[i].T @ tangents[i]  # the projection onto the tangent plane
+            spans = to_tangents @ self.held_spans(facing[[i]].indices) @ to_tangents
+            along_one = np.abs(np.einsum("nii->n", spans) - 1) < checks.SIX_DIGITS
+            if along_one.any():
+                first = np.linalg.eigh(spans[np.argmax(along_one)])[1][:, -1]
                 tangents[i] = first, np.cross(frames[i, 0], first)
         return tangents
 

@@ -261,8 +261,8 @@ def _at_quadrature_points(
 def _mean_around_edges(
     mesh: MeshArrays, load: InitialStrain, axisymmetric: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return what :func:`_at_quadrature_points` does, for smoothed elements: one point an element, its
-    centroid, with the mean around its edges."""
+    """Return the arrays of :func:`_at_quadrature_points` for smoothed elements: their only point is the
+    centroid, with the mean strain around the edges of the element."""
     elements = body_elements(mesh, load.body)
     volumes = element_measures(mesh, axisymmetric)
     mean = mean_initial_strain(mesh, [load], axisymmetric=axisymmetric)

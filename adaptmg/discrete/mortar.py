@@ -247,7 +247,7 @@ def taken_over(
     from nodes i without one, columns, of which each gives away its boundary measure w_i by the shares
     E_ji. ``carries`` is the mask (n_nodes,) of nodes with multipliers; with a mask ``giving`` only
     nodes in it give their measure away."""
-    if carries[surface.nodes].all():  # most boundaries; the rest would double their time
+    if carries[surface.nodes].all():  # as of most boundaries
         return sparse.csr_array((len(carries), len(carries)))
     shares = _shares(surface, carries, axisymmetric)  # E'
     gives = ~carries if giving is None else giving & ~carries
@@ -444,13 +444,13 @@ def _covered_enough(surfaces: Surfaces, reach: float | None) -> CoveredParts:
 
 def _shares_in_facets(carries: np.ndarray) -> np.ndarray:
     """Return the shares (n, k, k) with which corner a of a facet, rows, tests with the dual function
-    psi_b of corner b, columns, by the mask (n, k) of corners that carry a multiplier: all of its own
-    function, and an equal part of those of corners without one. Where no corner of a facet carries
-    one, each keeps its function."""
-    of_others = carries[:, :, None] * ~carries[:, None, :]
+    psi_b of corner b, columns, by the mask (n, k) of corners that carry a multiplier. Such a corner
+    tests with all of psi_a and with an equal part of psi_b for each corner b without a multiplier.
+    Where no corner of a facet carries a multiplier, each tests with its psi_a."""
+    taken = carries[:, :, None] * ~carries[:, None, :]
     n_carrying = np.maximum(carries.sum(axis=1), 1)[:, None, None]
-    keeps_own = carries | ~np.any(carries, axis=1)[:, None]
-    return of_others / n_carrying + np.eye(carries.shape[1]) * keeps_own[:, :, None]
+    tests = carries | ~np.any(carries, axis=1)[:, None]
+    return taken / n_carrying + np.eye(carries.shape[1]) * tests[:, :, None]
 
 
 def _assembled(

@@ -370,7 +370,7 @@ class DiscreteProblem(Unknowns):
         if not isinstance(self.law, FollowsState):
             return np.asarray(self.law.bounds(len(self.contact))[1])
         contact = self.contact
-        # nodes that take over parts of others have their own force, but a sum of slips; laws take means
+        # of a node that takes over others the force is that of its weight, the slip a sum; laws take means
         pressure = normal_force / contact.weights
         slip = slip * contact.weights / contact.measures + contact.accumulated_slip
         return friction_at(self.law, pressure, slip)

@@ -313,8 +313,8 @@ class _Fields:
         measures = mesh.volumes[inside, None] * weights
         weight_at_points = q[mesh.elements[inside]] @ rule.T
         loaded = np.flatnonzero((q > 0) & self.forces.any(axis=1))
-        # int t q r^-1/2 dr along the face = int t q 2 ds with r = s^2, by Gauss points from s = 0 to the
-        # root of the radius, half of which is the factor of their weights
+        # int t q r^-1/2 dr along the face = int 2 t q ds with r = s^2, by Gauss points from s = 0 to R^1/2
+        # of the radius R. From (-1, 1) they scale by R^1/2 / 2, so that their weights take R^1/2
         s, gauss_weights = np.polynomial.legendre.leggauss(40)
         s = 0.5 * (1 + s) * np.sqrt(radius)
         gauss_weights = gauss_weights * np.sqrt(radius)

@@ -134,12 +134,12 @@ class Inclined:
         return supports.eliminate_prescribed(parts | changed)
 
     def eliminate_prescribed(self, parts: dict[str, Any]) -> dict[str, Any]:
-        """Return the parts of a problem, given for A, as A' takes them under the displacement ubar that
-        supports prescribe along these directions (a part of ``fixed_values``). Changed are
+        """Return the parts of a problem with the matrix A' from those with A. The displacement ubar, which
+        supports prescribe along these directions, is a part of ``fixed_values``. This changes
 
-        - ``load``: b' in place of b, which ``inclined`` keeps,
-        - ``volumes``: with the strain B ubar,
-        - ``strain_free``: with the terms that u'A'u lacks of u'Au, unless ubar = 0."""
+        - ``load`` to b'; ``inclined`` stores b,
+        - ``volumes``, which get the mean strains of ubar,
+        - ``strain_free``, unless ubar = 0: the terms by which u'A'u and u'Au differ are added."""
         if not len(self):
             return parts
         values = parts["fixed_values"]
