@@ -107,8 +107,7 @@ def opened_tables(
     once = np.unique(facet_keys(facets[crack], len(points)), return_index=True)[1]
     faces = facets[crack][once]
     left = labels[crack][once]
-    normal_of = {label: normals[name] for label, name in zip(left_labels, right, strict=True)}
-    outward = np.array([normal_of[label] for label in left])
+    outward = np.array([normals[names[int(label)]] for label in left])
     faces_outward = np.einsum("nd,nd->n", Surface(points, faces).vectors, outward) > 0
     faces = np.where(faces_outward[:, None], faces, faces[:, ::-1])
     facets = facets[~crack]
