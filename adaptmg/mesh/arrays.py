@@ -172,8 +172,8 @@ class MeshArrays:
         )
 
     def _repr_svg_(self) -> str | None:
-        """Draw the edges of a plane mesh, or, of a large one and of a solid, those of the boundary; None
-        where these are too many."""
+        """Draw the edges of a plane mesh, or those of the boundary if the mesh is large or solid. Returns
+        None if these are too many."""
         cells = self.elements if self.dim == 2 and len(self.elements) <= _MANY else self.facets
         # every pair of corners of a cell is an edge
         ends = np.concatenate([cells[:, [a, b]] for a in range(cells.shape[1]) for b in range(a)])
@@ -555,7 +555,7 @@ def trusted(mesh: MeshArrays, sound: bool = True) -> MeshArrays:
 
 def in_sweep_order(mesh: MeshArrays) -> MeshArrays:
     """Return a sound mesh in the order in which Gauss-Seidel sweeps: nodes sorted along the longest side
-    of the bounding box, elements by their first nodes; no place changes. Gauss-Seidel takes a fifth
+    of the bounding box, elements by their first nodes; no node moves. Gauss-Seidel takes a fifth
     more cycles in the order that refinement leaves behind, where new nodes come last, and where
     bodies come one after the other."""
     order, number, rows, elements = sweep_order(mesh.points, mesh.elements)
@@ -669,7 +669,7 @@ def by_first_occurrence(
 def doubled(sets: np.ndarray, nodes: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Return new numbers for the ``nodes`` (m,), below n, of corners of elements, so that corners in
     different ``sets`` (m,) share no node: the lowest set at a node keeps its number, further ones have
-    n, n + 1, ...; and the nodes that these stand for."""
+    n, n + 1, ...; and the nodes of which these are copies."""
     pairs, pair_of_corner = np.unique(pair_keys(sets, nodes, n), return_inverse=True)
     node = pairs % n
     is_further = np.ones(len(pairs), dtype=bool)

@@ -143,7 +143,7 @@ def _cut_into_simplices(
             cells, owner, points = _block_simplices(kind, nodes, points, dim)
             parts.append((cells, np.full(len(cells), k), owner))
             counts.setdefault(kind, []).append(np.bincount(owner, minlength=len(nodes)))
-    elements, block, cell = map(np.concatenate, zip(*parts, strict=True))
+    elements, block, row = map(np.concatenate, zip(*parts, strict=True))
     used = points[np.unique(elements)]
     if dim == 2 and np.ptp(used[:, 2]) > checks.ALIKE * np.ptp(used[:, :2], axis=0).max():
         raise ValueError(
@@ -151,7 +151,7 @@ def _cut_into_simplices(
             f"{used[:, 2].min():.6g} to {used[:, 2].max():.6g}; a body in space needs solid elements"
         )
     notes = [cut_note(kind, np.concatenate(parts)) for kind, parts in counts.items()]
-    return points[:, :dim], elements, block, cell, list(filter(None, notes))
+    return points[:, :dim], elements, block, row, list(filter(None, notes))
 
 
 def _block_simplices(
@@ -162,8 +162,7 @@ def _block_simplices(
     solids of which a simplex is turned over."""
     cells, owner = simplices(kind, nodes, points)
     bad = _turned_over(points[:, :dim], cells, owner, len(nodes))
-    # a tetrahedron is not cut, and a brick of 27 nodes has a node at its centre, which another one
-    # would replace
+    # a tetrahedron is not cut, and a brick of 27 nodes already has a node at its centre
     if dim < 3 or not len(bad) or kind in ("tetra", "hexahedron27"):
         return cells, owner, points
     whole = ~np.isin(owner, bad)

@@ -224,8 +224,8 @@ def _graded_body(
         return mesh
     if isinstance(domain, Box):
         return solid_mesh(domain, solid, "netgen")
-    # meshes of Netgen before the last one, which it follows: one where sizes vary towards boundaries,
-    # and one where a function gives them
+    # meshes of Netgen before the last one, which has sizes by their centroids: one where sizes vary
+    # towards boundaries, and one where a function gives them
     rounds = int(bool(names)) + int(size_function is not None)
     return plane_mesh(domain, field, size, near, names, grading, rounds)
 
@@ -240,7 +240,7 @@ def _mesh_without_netgen(
             mesh = refined_draft(
                 domain, _cells(domain, field), lambda mesh: _REFINED_TO * field(mesh.points)
             )
-            # the order of nodes and elements changes after the checks, no place of a node
+            # after the checks only the order of nodes and elements changes
             return in_sweep_order(check_sizes(check_mesh(mesh), field))
         mesh = finished(domain, triangulated(domain, field, growth))
         return check_sizes(check_rims(domain, mesh), field)

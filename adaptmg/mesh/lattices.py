@@ -142,10 +142,13 @@ def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
 
 
 def unit_lattice(counts: tuple[int, ...]) -> MeshArrays:
-    """Return the mesh of cells of length 1, with a corner at the origin."""
-    names = ("width", "height") if len(counts) == 2 else ("width", "depth", "height")
-    domain = Rectangle if len(counts) == 2 else Box
-    return _lattice(domain(**dict(zip(names, counts, strict=True))), counts)
+    """Return the lattice with some numbers of cells along the axes, whose edges have the length 1, and
+    with the lower corner at the origin."""
+    if len(counts) == 2:
+        width, height = counts
+        return _lattice(Rectangle(width=width, height=height), counts)
+    width, depth, height = counts
+    return _lattice(Box(width=width, depth=depth, height=height), counts)
 
 
 def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
@@ -208,7 +211,7 @@ def _cells(counts: tuple[int, ...], places: np.ndarray, *, axis: int = -1) -> np
 
 
 def strides_of(counts: Sequence[int]) -> np.ndarray:
-    """Return how far apart neighbours along each axis are numbered."""
+    """Return the difference (dim,) between the numbers of neighbours along each axis."""
     return np.cumprod([1, *(n + 1 for n in counts[:-1])]).astype(np.int32)
 
 

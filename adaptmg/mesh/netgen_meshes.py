@@ -490,7 +490,7 @@ def _unit_mesh(
     for factor, slower in attempts:
         draft_nodes = nodes / factor**3 + on_round
         try:
-            unit = _attempted(
+            unit = _attempt(
                 worker, shape, sizes, factor, slower, draft_nodes, faces, domain, surfaces
             )
             # with flat elements it is the result only if no attempt makes better ones
@@ -507,7 +507,7 @@ def _unit_mesh(
     return best
 
 
-def _attempted(
+def _attempt(
     worker: Netgen,
     shape: Shape,
     sizes: SolidSizes,
@@ -522,8 +522,8 @@ def _attempted(
     ``factor`` times as large and grow ``slower`` times as fast; NetgenFails, Unfit or Misplaced if this
     attempt fails."""
     coarse = sizes.drafts(factor, slower)
-    # meshes before the draft, which it follows: one where sizes vary, and one more at the sizes
-    # themselves where a function gives them
+    # meshes before the draft, which has sizes by their centroids: one where sizes vary, and one more
+    # for a function if the draft is not coarser than its sizes (factor 1)
     by_function = coarse.function is not None
     rounds = int(by_function or bool(faces)) + int(by_function and factor == 1)
     unit = _solid_draft(worker, shape, coarse, faces, domain, nodes, rounds)

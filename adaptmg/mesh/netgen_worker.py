@@ -336,10 +336,10 @@ def _name_products(
 
     Netgen knows the names of instances only. The file (``names``, ``uses`` of :func:`_parts_of`) says
     which part an instance is of, and how the product of the part is called; ``part`` is the number of
-    that of the node. A product without a name is called after its instance."""
+    the part of the node. A product without a name is called after its instance."""
     instances = list(uses.get(part, ()))
     for child in node.children:
-        # where OCC reads the name of an instance otherwise, it is the next one in the file
+        # where OCC reads another name than the file has, it is the next instance in the file
         same_name = [instance for instance in instances if instance[0] == child.name]
         matching = same_name or instances[:1]
         part_of_child = ""
@@ -369,9 +369,10 @@ def _parts_of(text: str) -> tuple[dict[str, str], dict[str, list[tuple[str, str]
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
 
     def rows(pattern: str) -> list[dict[str, str]]:
-        found = re.finditer(rf"#(?P<number>\d+)\s*=\s*{pattern}", text)
+        matches = re.finditer(rf"#(?P<number>\d+)\s*=\s*{pattern}", text)
         return [
-            {key: _decoded(value or "") for key, value in row.groupdict().items()} for row in found
+            {key: _decoded(value or "") for key, value in row.groupdict().items()}
+            for row in matches
         ]
 
     product = {row["number"]: row["name"] or row["id"] for row in rows(rf"PRODUCT{described}")}

@@ -305,7 +305,8 @@ def touching(
         pairs: dict[tuple[str, str], ContactPair] = {}
         for solid, other in combinations(solids, 2):
             for a, b in product(faces_of[solid], faces_of[other]):
-                # chords of round faces stay behind them: boxes may be a twentieth of the smaller one apart
+                # chords of round faces stay behind them: boxes may be apart by a twentieth of
+                # the extent of the smaller one
                 slack = reach + 0.05 * min(np.ptp(a.box, axis=0).max(), np.ptp(b.box, axis=0).max())
                 if (a.box[0] > b.box[1] + slack).any() or (b.box[0] > a.box[1] + slack).any():
                     continue
