@@ -147,7 +147,8 @@ class ActiveSet:
         pressures p_0 finds a displacement u of a problem without volumes, and leaves the pressures
         :math:`p = (1 - \tilde\kappa/\kappa)\,p_0 + \tilde\kappa\,b\,u`. One solve is exact where
         :math:`\tilde\kappa = \kappa`. Otherwise the last solve, which the certificate confirms, is the
-        one whose start fulfils :math:`|b\,u - p_0/\kappa| \le rtol\,|p_0|/(\lambda_1 + \mu)`."""
+        one whose start fulfils :math:`|b\,u - p_0/\kappa| \le rtol\,|p_0|/(\lambda_1 + \mu)`, or the
+        ``Augmented.MOST``-th one."""
         if self.nested_start:
             raise ValueError(
                 "nested_start=True: ActiveSet has no nested start for smoothed elements with poisson "
@@ -225,7 +226,7 @@ class _NewtonState:
     """An iterate, and the contact status that it decides."""
 
     unknowns: np.ndarray  # (n_dofs,), local
-    # Any: a start has None of the next three, and nothing reads them there
+    # the next three are None at a start; Any, since they are read only after it
     residual: np.ndarray | Any = None  # (n_dofs,): b - A w
     step_data: np.ndarray | Any = None  # (n_dofs,): for the linear step; see contact_residual
     equations: Linearised | Any = None

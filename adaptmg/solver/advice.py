@@ -232,7 +232,7 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
     if not isinstance(discrete.law, FollowsState):
         return
     force = contact.force_n
-    # results have means over the nodes whose part a contact node takes over, laws take their sums
+    # results have means over the nodes whose part a contact node takes over, friction_at takes sums
     slip = np.linalg.norm(contact.slip, axis=1) * contact.measures / contact.weights
     _, slope_of_pressure, _ = friction_bound(discrete.friction_at, force, slip)
     falling = contact.closed & (slope_of_pressure < -FALLING)

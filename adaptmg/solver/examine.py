@@ -665,8 +665,8 @@ def advice_on_patches(contact: ContactResult, mesh: MeshArrays) -> list[str]:
     factor, unit = converted("m")
     smallest: dict[str, Patch] = {}
     for patch in touching_patches(contact, mesh):
-        known = smallest.get(patch.name)
-        if len(patch.nodes) < (nodes_needed if known is None else len(known.nodes)):
+        fewest = len(smallest[patch.name].nodes) if patch.name in smallest else nodes_needed
+        if len(patch.nodes) < fewest:
             smallest[patch.name] = patch
     return [
         f"contact {name!r}: {len(patch.nodes)} nodes touch in a patch, and peaks of pressure need {nodes_needed}; "

@@ -229,14 +229,14 @@ class _Parts:
     def value(self, where: str, value: object) -> None:
         """Add the part of a value that is read at ``where``, unless ``depends`` names it. Functions,
         classes and modules have parts under their own names."""
-        # ``depends`` may name it alone, without its module before a dot and the words after a space;
-        # as it stands here; or as the parts of a stored fingerprint do
+        # ``depends`` may contain its name, without its module before a dot and the words after a
+        # space; ``where``; or the name of its part in a stored fingerprint
         bare = where.split(" ")[0].rpartition(".")[2]
         if {bare, where, f"value of {where}"}.intersection(self._depends):
             return
         if isinstance(value, _NAMED):
-            name = self.name_of(value)  # which also has it examined later
-            if name == f"own {where}":  # read where it is defined: its own parts say all
+            name = self.name_of(value)  # now it is examined later, if it is the user's
+            if name == f"own {where}":  # it is read where it is defined: its parts suffice
                 return
         try:
             self._parts[f"value of {where}"] = self._hash(value)
@@ -251,10 +251,7 @@ class _Parts:
         are examined later."""
         if id(thing) in self._names:
             return self._names[id(thing)]
-        module = (
-            thing.__name__ if isinstance(thing, ModuleType) else getattr(thing, "__module__", None)
-        )
-        module = module if isinstance(module, str) else "builtins"
+        module = _module_of(thing)
         # classes that are sent to workers lose the name of the function around them
         name = self._home(module)
         if not isinstance(thing, ModuleType):
@@ -418,8 +415,8 @@ class _Pickler(pickle.Pickler):
         return None
 
     def _instance(self, value: typing.Any) -> object:
-        """Return the contents of an instance of a class of the user, or of one whose pickle would have
-        measured seconds and cached properties, too: it is that of all attributes; None for others."""
+        """Return the contents of an instance of a user's class, or of a class with measured seconds or
+        cached properties whose pickle holds all attributes; None for other objects."""
         kind = type(value)
         leaves_out = bool(_measured(kind)) or any(
             type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values()
@@ -433,9 +430,11 @@ class _Pickler(pickle.Pickler):
         return _contents(value, self.found)
 
 
-def _module_of(kind: type) -> str:
-    """Return the name of the module of a class; a few classes have something else in its place."""
-    return kind.__module__ if isinstance(kind.__module__, str) else "builtins"
+def _module_of(thing: object) -> str:
+    """Return the name of a module, or of the module of a function or class. Some of these have no text
+    there: they count as builtins."""
+    name = thing.__name__ if isinstance(thing, ModuleType) else getattr(thing, "__module__", None)
+    return name if isinstance(name, str) else "builtins"
 
 
 def _measured(kind: type) -> set[str]:
@@ -450,8 +449,8 @@ def _contents(value: typing.Any, found: _Parts) -> tuple[object, ...]:
     """Return the class of an instance and all that it holds, except measured seconds and cached
     properties, which follow from the rest: its own pickle may leave out more.
 
-    Besides slots and attributes that is what a base class holds: of a subclass of an array, say, the
-    numbers, by the ``__reduce__`` of the array; of a subclass of dict the items, as a plain dict."""
+    Next to slots and attributes these are the contents of a base class: for a subclass of an array
+    its numbers, by the ``__reduce__`` of the array; for a subclass of dict its items, as a dict."""
     kind = type(value)
     class_attributes = {
         name: part for owner in reversed(kind.__mro__) for name, part in vars(owner).items()

@@ -346,8 +346,8 @@ class FinestFirst:
             outcome = self.active_set.run(hierarchy, run, start)
         except (np.linalg.LinAlgError, MemoryError) as error:
             _LOG.info("the active set method gives up: %s", error)
-            nothing = np.zeros(hierarchy.finest.discrete.n_unknowns)
-            outcome = Outcome(nothing, Status.DIVERGED, cycles=0, rtol=rtol)
+            zero = np.zeros(hierarchy.finest.discrete.n_unknowns)
+            outcome = Outcome(zero, Status.DIVERGED, cycles=0, rtol=rtol)
         if outcome.status.ok or outcome.status is Status.ROUNDING:
             return outcome
         method = FullMultigrid if self.grids.discretised else Multigrid

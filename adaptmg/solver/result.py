@@ -74,8 +74,8 @@ class Result(Quantities):
         The method that took over where the solver did not converge, and from which cycle; empty if
         none did.
     choice : str
-        Why the solver was taken, where :func:`adaptmg.solve` chose another one than ``FullMultigrid()``
-        on all levels; else empty.
+        Why the solver was taken, where :func:`adaptmg.solve` chose another one than multigrid on all
+        levels that were given; else empty.
     mesh : MeshArrays or None
         Finest mesh; None if the result comes from a bare DiscreteProblem, see
         :func:`adaptmg.mesh.need_mesh`.
