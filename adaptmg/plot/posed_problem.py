@@ -232,7 +232,7 @@ def _draw_point_supports(posed: ContactProblem, mesh: MeshArrays, ax: Axes) -> N
 
 
 def _draw_arrows(ax: Axes, tails: np.ndarray, vectors: np.ndarray) -> None:
-    """Draw plane arrows, in the unit of the axes; the limits of the axes contain them then."""
+    """Draw plane arrows, in the unit of the axes, and widen the limits of the axes to contain them."""
     ax.quiver(
         tails[:, 0],
         tails[:, 1],
@@ -297,7 +297,7 @@ def _draw_obstacle(ax: Axes, contact: Contact, mesh: MeshArrays, extent: float) 
     inward, gaps = contact.obstacle.contact(points, normals)
     largest = float(np.abs(gaps).max())
     # a gap of less than a quarter of the hatched strip is drawn about as wide as the strip, enlarged by
-    # a number of one digit and zeros, which the legend tells
+    # a number of one digit and zeros, which the legend names
     visible = 0.06 * extent
     times = (
         1
