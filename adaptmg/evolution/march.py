@@ -18,7 +18,7 @@ the slip of the step. The energy changes by
 where no term is positive: friction, contact and damping take energy, and nothing adds any. The
 matrix does not depend on the step, and has an inverse without supports: what multigrid sets up for
 it stays from step to step. Bodies that nothing holds are solved for relative to their mean
-displacement, so that errors do not grow with the way that they fly."""
+displacement, so that errors do not grow with the distance that they fly."""
 
 from __future__ import annotations
 

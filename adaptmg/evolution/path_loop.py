@@ -191,7 +191,7 @@ class PathLoop:
         run = Run(unit=self.grids.finest.discrete.matrix.nnz, callback=callback)
         with run.phase("setup"):
             grids = self._posed(k, motions)
-            # Rigid obstacles move until their forces fit, and may go too far on the way
+            # Rigid obstacles move until their forces fit, and trial motions may go too far
             if not self.controls.rigid:
                 self._check_held(grids, k, motions)
             self.examiner = Examiner(grids.finest.discrete, self.bodies)

@@ -162,7 +162,15 @@ def test_what_has_no_meaning_is_refused():
         am.ContactForce(direction="up")
 
 
-@pytest.mark.parametrize("make", [am.cases.greco_bar, am.cases.greco_block, am.cases.dovetail])
+def dovetail_of_tresca():
+    """Open nodes, which have friction too, slip."""
+    return dataclasses.replace(am.cases.dovetail(), law=am.Tresca(1e5))
+
+
+@pytest.mark.parametrize(
+    "make", [am.cases.greco_bar, am.cases.greco_block, am.cases.dovetail, dovetail_of_tresca]
+)
+@pytest.mark.filterwarnings("ignore:.*open nodes carry:UserWarning")
 def test_what_the_solver_leaves_counts(make):
     problem = make()
     hierarchy = am.Hierarchy.graded(problem, (8e-3, 4e-3) if problem.dim == 2 else (15e-3,))
