@@ -82,8 +82,8 @@ def test_a_free_flight_is_exact(kind, young, accuracy):
     velocity = 100.0 * (down if kind == "axisymmetric" else RNG.uniform(-1, 1, len(down)))
     dynamics = am.Dynamics(density=1.0, initial_velocity=velocity, step=0.3, end=15.0)
     *_, last = am.march(grids, dynamics, rtol=1e-12)
-    way = 15.0 * velocity
-    assert np.abs(last.displacement - way).max() < accuracy * np.linalg.norm(way)
+    distance = 15.0 * velocity
+    assert np.abs(last.displacement - distance).max() < accuracy * np.linalg.norm(distance)
     assert last.energies["strain"] < 1e-12 * last.energies["kinetic"]
     assert last.time == pytest.approx(15.0)
 
@@ -185,9 +185,9 @@ def test_equal_bars_exchange_their_velocities(cells):
         np.testing.assert_allclose(mean, expected, atol=0.06 * 0.2)
 
 
-# the work of friction is the kinetic energy: mu g s; with mu (1 - a s) of the way s: mu g (s - a s^2 / 2)
+# the work of friction is the kinetic energy: mu g s; with mu (1 - a s) of the distance s: mu g (s - a s^2 / 2)
 @pytest.mark.parametrize(
-    ("law", "way"),
+    ("law", "distance"),
     [
         (am.Coulomb(0.3), 1 / (0.6 * 9.81)),
         (
@@ -197,7 +197,7 @@ def test_equal_bars_exchange_their_velocities(cells):
     ],
     ids=["constant", "falling"],
 )
-def test_a_sliding_block_stops(law, way):
+def test_a_sliding_block_stops(law, distance):
     density = 2000.0
     problem = am.ContactProblem(
         domain=am.Rectangle(width=0.4, height=0.1),
@@ -212,7 +212,7 @@ def test_a_sliding_block_stops(law, way):
         density=density, initial_velocity=(1.0, 0.0), step=0.004, end=0.5, damping=1e-3
     )
     *_, last = am.march(grids, dynamics, start=rest)
-    np.testing.assert_allclose((last.displacement - rest.displacement)[:, 0], way, rtol=2e-3)
+    np.testing.assert_allclose((last.displacement - rest.displacement)[:, 0], distance, rtol=2e-3)
     assert last.energies["friction"] == pytest.approx(0.5 * density * 0.04, rel=1e-3)
     assert last.contact.counts()["stick"] == len(last.contact)
 
