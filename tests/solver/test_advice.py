@@ -250,7 +250,7 @@ def test_one_mesh_takes_the_quickest_method_but_a_named_one(tmp_path):
 
 @pytest.mark.parametrize("divisions", [(2, 4, 8), (4, 8, 16)])
 def test_a_small_problem_takes_its_finest_level_alone(divisions):
-    """The coarser ones are discretised when they are read, as if they had been from the start."""
+    """Coarser levels are discretised when they are read, and are those of a hierarchy of meshes."""
     discretised = []
 
     def gap(points):
@@ -264,17 +264,18 @@ def test_a_small_problem_takes_its_finest_level_alone(divisions):
     assert set(discretised) == {divisions[-1]}
     assert result.solver_name.startswith("ActiveSet(") and result.choice in str(result)
     assert [row["nodes"] for row in result.levels] == [grids.finest.n_nodes]
+    assert "mesh" in grids.timings and "mesh" not in result.timings
     assert am.solve(grids, rtol=1e-4).rtol == 1e-4
-    every = am.solve(grids, am.FullMultigrid())
+    on_all_levels = am.solve(grids, am.FullMultigrid())
     assert set(discretised) == set(divisions)
-    assert every.choice == "" and len(every.levels) == len(divisions)
+    assert on_all_levels.choice == "" and len(on_all_levels.levels) == len(divisions)
     discrete = grids.finest.discrete
-    assert distance(discrete, result.displacement, every.displacement) < 2e-8
-    at_once = am.Hierarchy.from_meshes(
+    assert distance(discrete, result.displacement, on_all_levels.displacement) < 2e-8
+    of_meshes = am.Hierarchy.from_meshes(
         problem, [level.mesh for level in grids.levels], am.Interpolation()
     )
-    assert grids.table() == at_once.table() == every.levels
-    for level, other in zip(grids.levels[1:], at_once.levels[1:], strict=True):
+    assert grids.table() == of_meshes.table() == on_all_levels.levels
+    for level, other in zip(grids.levels[1:], of_meshes.levels[1:], strict=True):
         assert abs(level.prolongation - other.prolongation).max() == 0
     sent = pickle.loads(pickle.dumps(am.Hierarchy.uniform(am.cases.greco_bar(), divisions)))
     assert sent.table() == grids.table()

@@ -142,8 +142,8 @@ def test_a_round_bar_yields_outside_of_the_elastic_radius():
 
 @pytest.mark.parametrize("size", [1.0, 3.0])
 def test_cycles_end_by_the_residual_where_coarse_levels_have_nothing_to_correct(size):
-    """Of a bar that yields all but at its diagonals the coarse corrections are rounding; smoothing
-    takes the residual to two thirds in a cycle, from 7e-8 after four of them."""
+    """In a bar that yields everywhere except at its diagonals coarse corrections are rounding. From 7e-8
+    after four cycles on, smoothing reduces the residual to two thirds in a cycle."""
     bar = am.cases.elastic_plastic_torsion(section="square", size=size, twist=5.0 / size)
     grids = am.Hierarchy.uniform(bar, divisions=(5, 10, 20))
     result = am.solve(grids, am.FullMultigrid())

@@ -37,8 +37,8 @@ def falling(pressure, slip):
     return (0.1 + 0.4 / (1 + pressure / 5e7)) * (0.7 + 0.3 * np.exp(-slip / 1e-5))
 
 
-def test_a_node_next_to_a_held_one_knows_its_pressure():
-    """The corner is held with the strain of a uniform pressure; the next node takes its part over."""
+def test_friction_next_to_a_held_node_is_that_of_its_pressure():
+    """The corner is held with the strain of a uniform pressure; the next node takes over its part."""
     rng = np.random.default_rng(3)
     size, shift = rng.uniform(0.1, 10.0), rng.normal(size=2)
     mesh = am.mesh.structured(am.Rectangle(width=size, height=size), (8, 6))
