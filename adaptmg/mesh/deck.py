@@ -78,7 +78,7 @@ _MOST_FILES, _MOST_NUMBER, _MOST_GENERATED = 100, 10**12, 10**7
 
 
 #: the elements of one type: kind of cell, numbers (n,), and nodes (n, k) as rows of the points
-_Numbered = tuple[str, np.ndarray, np.ndarray]
+_NumberedCells = tuple[str, np.ndarray, np.ndarray]
 
 
 @dataclass
@@ -352,7 +352,7 @@ class _Deck:
         self._add_surfaces(contents, [block for block in blocks if dimension(block[0]) == dim])
         return contents
 
-    def _add_sets(self, contents: Contents, blocks: list[_Numbered]) -> None:
+    def _add_sets(self, contents: Contents, blocks: list[_NumberedCells]) -> None:
         """Add the sets of elements to the contents, and say which of them are bodies."""
         for name, members in self._groups().items():
             contents.sets[self._spelt(name)] = [
@@ -365,7 +365,7 @@ class _Deck:
             bodies = self.sections or [section for *_, section in self.elements]
             contents.bodies = [self._spelt(name) for name in bodies]
 
-    def _add_surfaces(self, contents: Contents, solid: list[_Numbered]) -> None:
+    def _add_surfaces(self, contents: Contents, solid: list[_NumberedCells]) -> None:
         """Add the surfaces to the contents as sets of faces, which become further blocks of cells."""
         for name, members in self.surfaces.items():
             faces = [face for selected, facet in members for face in _faces(solid, selected, facet)]
@@ -420,7 +420,7 @@ def _kind(name: str) -> str | None:
 
 
 def _faces(
-    solid: list[_Numbered], members: np.ndarray, facet: int
+    solid: list[_NumberedCells], members: np.ndarray, facet: int
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Yield kind and nodes of facet ``facet`` of the elements ``members``, or of all their facets if it
     is 0."""
