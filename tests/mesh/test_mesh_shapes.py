@@ -366,6 +366,11 @@ def test_names_that_overlap_go_to_the_smallest_or_the_first(tmp_path):
         set(mesh.boundaries) == {"sides", "Seat", "free"}
         and len(mesh.boundary_facets("sides")) == 5
     )
+    # a surface comes before a smaller set of nodes, and before one with the same name
+    path.write_text(DECK + "*Surface, name=rim\n8, S2\n8, S3\n*Nset, nset=Seat\n1, 2\n")
+    mesh = am.mesh.from_file(path, unnamed="free")
+    assert len(mesh.boundary_facets("rim")) == 2 and "lid" not in mesh.boundaries
+    assert (mesh.points[mesh.boundary_nodes("Seat"), 1] == 5).all()
     path.write_text(DECK + "*Surface, name=top, type=node\nlid\n")
     assert "top" in am.mesh.from_file(path, unnamed="free").boundaries
     with pytest.raises(ValueError, match="boundaries: it holds no 'side'; it holds"):
