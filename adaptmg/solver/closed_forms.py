@@ -377,8 +377,8 @@ class FreeBodies:
         borne = discrete.physical_forces(-evidence.residual - evidence.tying - claimed)
         held = discrete.supported_part((borne + reaction).reshape(shape))
         on_slaves = [
-            *self._contact_forces(discrete, claimed.reshape(shape)),
-            *self._tie_forces(discrete, evidence.tying.reshape(shape)),
+            *_contact_forces(discrete, claimed.reshape(shape)),
+            *_tie_forces(discrete, evidence.tying.reshape(shape)),
         ]
         load = discrete.physical_forces(discrete.whole_load).reshape(shape)
         total = self._resultants(sum(on_slaves, load + held - spring_forces), self.body)
@@ -387,31 +387,6 @@ class FreeBodies:
             if master >= 0:
                 total -= self._resultants(forces, np.full(len(self.body), master), shift)
         return np.where(self.compared, total, 0.0)
-
-    def _contact_forces(
-        self, discrete: DiscreteProblem, claimed: np.ndarray
-    ) -> Iterator[np.ndarray]:
-        """Yield the forces (n_nodes, dim) on the slave of each contact boundary: ``claimed`` (n_nodes,
-        dim) at its contact nodes, with their shares at nodes of which these take over a part."""
-        contact = discrete.contact
-        for k in range(len(contact.names)):
-            on_boundary = contact.boundary == k
-            nodes = contact.nodes[on_boundary]
-            forces = np.zeros(claimed.shape)
-            forces[nodes] = claimed[nodes]
-            if contact.taken_over.shape[1]:
-                forces += contact.taken_over[on_boundary].T @ claimed[nodes]
-            yield forces
-
-    def _tie_forces(self, discrete: DiscreteProblem, tying: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield the forces (n_nodes, dim) on the slave of each tie: ``tying`` (n_nodes, dim) at its
-        tied nodes, and -W' times these at nodes of the slave surface that tied nodes follow."""
-        for _, _, nodes, slave_nodes in discrete.ties:
-            weights = sparse.csr_array(cast("Coupling", discrete.coupling).weights[nodes])
-            forces = np.zeros(tying.shape)
-            forces[nodes] = tying[nodes]
-            forces[slave_nodes] -= weights[:, slave_nodes].T @ tying[nodes]
-            yield forces
 
     def _resultants(
         self, forces: np.ndarray, body: np.ndarray, shift: np.ndarray | None = None
@@ -433,6 +408,31 @@ def _joined_pieces(mesh: MeshArrays, masters: list[str]) -> np.ndarray:
         touched = np.unique(body[mesh.boundary_nodes(master)])
         body[np.isin(body, touched)] = touched[0]
     return body
+
+
+def _contact_forces(discrete: DiscreteProblem, claimed: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the forces (n_nodes, dim) on the slave of each contact boundary: ``claimed`` (n_nodes,
+    dim) at its contact nodes, with their shares at nodes of which these take over a part."""
+    contact = discrete.contact
+    for k in range(len(contact.names)):
+        on_boundary = contact.boundary == k
+        nodes = contact.nodes[on_boundary]
+        forces = np.zeros(claimed.shape)
+        forces[nodes] = claimed[nodes]
+        if contact.taken_over.shape[1]:
+            forces += contact.taken_over[on_boundary].T @ claimed[nodes]
+        yield forces
+
+
+def _tie_forces(discrete: DiscreteProblem, tying: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the forces (n_nodes, dim) on the slave of each tie: ``tying`` (n_nodes, dim) at its
+    tied nodes, and -W' times these at nodes of the slave surface that tied nodes follow."""
+    for _, _, nodes, slave_nodes in discrete.ties:
+        weights = sparse.csr_array(cast("Coupling", discrete.coupling).weights[nodes])
+        forces = np.zeros(tying.shape)
+        forces[nodes] = tying[nodes]
+        forces[slave_nodes] -= weights[:, slave_nodes].T @ tying[nodes]
+        yield forces
 
 
 def _any_component(vectors: np.ndarray) -> np.ndarray:

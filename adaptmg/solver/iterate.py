@@ -23,13 +23,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.conditions import natural_residual
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.certificate import Certificate, ratio
-from adaptmg.solver.examine import (
-    ROUNDING,
-    Sizes,
-    displacement_norm,
-    energy_norm,
-    euclidean_norm,
-)
+from adaptmg.solver.examine import ROUNDING, Sizes, displacement_norm, energy_norm, euclidean_norm
 from adaptmg.solver.record import Run, Status
 
 

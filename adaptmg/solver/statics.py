@@ -281,7 +281,7 @@ def _check_unique(body: _Body, forces: _Forces, has_friction: bool) -> None:
 def _check_enclosed(body: _Body, forces: _Forces) -> None:
     """Raise ValueError unless contact encloses a body without a load on its free motions, so that
     pressures at all nodes may balance each other. If factors c >= 0 of the n edges balance their mean,
-    the factors c + 1/n > 0 do that. Tresca's friction presses nothing."""
+    edges with the factors c + 1/n > 0 balance each other. Tresca's friction presses nothing."""
     mean_edge = forces.edges.mean(axis=1)
     pressures = replace(forces, limits=np.zeros_like(forces.limits))
     unbalanced, motion = pressures.least_unbalanced(mean_edge)
@@ -427,7 +427,7 @@ def _motion_to_blame(
 ) -> np.ndarray:
     """Return the free motion (k,) that a message blames for unbalanced work, of which ``motion`` is
     one: if possible a motion along or about a coordinate axis; else one that opens contact, which
-    friction without a bound leaves; else the part of ``motion`` that slides, or ``motion`` itself if
+    even unlimited friction does not hold; else the part of ``motion`` that slides, or ``motion`` itself if
     the load does no work on this part."""
     on_axis = _unbalanced_axis_motion(body, forces, work)
     if on_axis is not None:

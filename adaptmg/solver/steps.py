@@ -207,7 +207,8 @@ class LocalLevels:
         return nested_start(self.run, len(self.hierarchy), coarsest, prolonged, cycled)
 
     def shortfall(self, state: State, rtol: float) -> float:
-        """Ask the certificate about a state; see :class:`~adaptmg.solver.iterate.StopTest`."""
+        """Return the factor by which the certificate finds the error of a state above ``rtol``, as
+        :meth:`~adaptmg.solver.record.Run.shortfall`."""
         return self.run.shortfall(self.finest.to_cartesian(state.unknowns), rtol)
 
     def outcome(self, state: State, status: Status, stop: StopTest, rtol: float) -> Outcome:

@@ -196,11 +196,13 @@ class TruncatedCycles:
         """Return the state after a correction (of a start there is none), perhaps a coarse contact
         problem, smoothing and linearisation."""
         parts = self.parts
-        # a status that was only just found lets a correction carry open nodes through the obstacle:
-        # it ends where the first of them closes. So does the first correction of a solve, unless the
-        # start is given, and the first after a coarse contact problem.
-        begins = self.coarse is not None and self.origin != "given" and state.linearised is None
-        new = parts.correct(state, state.shorten).but(shorten=begins)
+        # At the begin of a solve, except from a given start, and after a coarse contact problem the
+        # contact status is uncertain: a whole correction may carry open nodes through the obstacle.
+        # The next one then ends where the first of them closes.
+        is_uncertain = (
+            self.coarse is not None and self.origin != "given" and state.linearised is None
+        )
+        new = parts.correct(state, state.shorten).but(shorten=is_uncertain)
         from_start = None
         if new.cycles == 1 and self.nested is not None:
             from_start = parts.distance(parts.displacement(new), self.nested[: parts.matrix.n_dofs])
