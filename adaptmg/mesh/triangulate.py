@@ -95,13 +95,13 @@ def triangulated(
     # a power of two, by which scaling is exact
     scale = 2.0 ** math.frexp((domain.upper - domain.lower).max())[1]
     # lay nodes along the boundary; again with smaller sizes next to thin parts until there are none
-    wanted = field
+    requested = field
     for _ in range(_PASSES):
         places, facets, labels, elements, across = _first_triangles(
             domain, field, growth, middle, scale
         )
         feet, sizes = _thin_parts(places, elements, across)
-        thin = sizes > wanted(feet) / _DEEPEST
+        thin = sizes > requested(feet) / _DEEPEST
         if not thin.any():
             break
         field = _beside_thin_parts(field, feet[thin], sizes[thin])
@@ -159,17 +159,17 @@ def _first_triangles(
         labels = np.repeat(np.arange(len(counts)), counts)
         if domain.twins:
             places, facets = _joined(places, facets)
-        elements, across, found = of_boundary((places - middle) / scale, facets)
-        if found.all() and domain.twins:
+        elements, across, present = of_boundary((places - middle) / scale, facets)
+        if present.all() and domain.twins:
             elements, facets, is_open, origin = opened(elements, facets, len(places))
             return places[origin], facets[is_open], labels[is_open], elements, across
-        if found.all():
+        if present.all():
             return places, facets, labels, elements, across
         # halve the facets of each edge that are missing, and begin again
-        found_of_edges = np.split(found, first[1:])
-        for i, (t, found_of_edge) in enumerate(zip(fractions, found_of_edges, strict=True)):
+        present_on_edges = np.split(present, first[1:])
+        for i, (t, present_on_edge) in enumerate(zip(fractions, present_on_edges, strict=True)):
             middles = 0.5 * (t + np.append(t[1:], 1.0))
-            fractions[i] = np.sort(np.append(t, middles[~found_of_edge]))
+            fractions[i] = np.sort(np.append(t, middles[~present_on_edge]))
     raise Untriangulated(f"edges of {domain!r} are missing")
 
 
