@@ -321,7 +321,8 @@ def test_a_plane_and_an_inclined_plane_of_a_path_move_their_common_nodes(factor)
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_supports_along_one_normal_that_part_in_a_path_are_refused(turned):
-    """Only these are named, although supports at right angles hold some of their nodes, too."""
+    """Only these are named, although supports at right angles hold some of their nodes, too. With
+    equal factors they move all of the body."""
     box = am.mesh.structured(am.Box(width=1, depth=1, height=1), 2)
     turn = (
         np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0] if turned else np.eye(3)
@@ -346,16 +347,22 @@ def test_supports_along_one_normal_that_part_in_a_path_are_refused(turned):
         ],
     )
     grids = am.Hierarchy.from_meshes(problem, [mesh])
+    together = am.solve_path(grids, am.LoadPath({"upper": [0.5], "left": [0.5]}), EXACT)[0]
+    np.testing.assert_allclose(
+        together.displacement, np.tile(-5e-4 * turn[:, 0], (mesh.n_nodes, 1)), atol=1e-12
+    )
     with pytest.raises(ValueError, match="of 'upper' and 'left' prescribe different displacements"):
         am.solve_path(grids, am.LoadPath({"upper": [1.0], "left": [0.5]}), EXACT)
 
 
 @pytest.mark.parametrize(("elements", "nu"), [("linear", 0.3), ("smoothed", 0.49)])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("seed", "floor_moves"), [(0, True), (1, False)])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_planes_that_move_at_an_angle_to_the_obstacle_compress_uniformly(dim, seed, elements, nu):
+def test_planes_that_move_at_an_angle_to_the_obstacle_compress_uniformly(
+    dim, seed, floor_moves, elements, nu
+):
     """A body under one pressure all around follows its guides and a plane obstacle, each of which
-    moves by another factor; they meet at any angle."""
+    moves by another factor, or where the obstacle rests; they meet at any angle."""
     meshes = [numbered_at_random(mesh, seed) for mesh in sheared(dim, seed)[:2]]
     young, pressure = 1e7, 1e3
     shrinks = pressure * (1 - 2 * nu) * (1 if dim == 3 else 1 + nu) / young
@@ -363,9 +370,11 @@ def test_planes_that_move_at_an_angle_to_the_obstacle_compress_uniformly(dim, se
     normals = np.array([meshes[0].surface(name).normals[0] for name in names])
     size = shrinks * np.ptp(meshes[-1].points)
     amounts = size * np.random.default_rng(seed).uniform(-1, 1, dim)
-    floor = am.Moving(
-        am.Plane([0] * dim, -normals[0]), displacement=amounts[0] * normals[0], name="bottom"
-    )
+    floor = am.Plane([0] * dim, -normals[0])
+    if floor_moves:
+        floor = am.Moving(floor, displacement=amounts[0] * normals[0], name="bottom")
+    else:
+        amounts[0] = 0.0
     problem = am.ContactProblem(
         elements=elements,
         material=(am.Solid if dim == 3 else am.PlaneStrain)(young=young, poisson=nu),
@@ -379,7 +388,10 @@ def test_planes_that_move_at_an_angle_to_the_obstacle_compress_uniformly(dim, se
     )
     grids = am.Hierarchy.from_meshes(problem, meshes)
     factors = np.array([[1.0, 1.0, 1.0], [0.3, -0.5, 2.0], [0.3, 2.0, -1.0]])[:, :dim]
-    path = am.LoadPath(dict(zip(names, factors.T.tolist(), strict=True)))
+    of_names = dict(zip(names, factors.T.tolist(), strict=True))
+    if not floor_moves:
+        del of_names["bottom"]
+    path = am.LoadPath(of_names)
     corrections = am.Truncated(), am.Monotone(), am.PaperCorrection()
     cycles = [am.Multigrid(correction=each, rtol=1e-9) for each in corrections]
     others = [am.SingleGrid(rtol=1e-9), am.ActiveSet(condensed=False)]
