@@ -190,13 +190,13 @@ def test_a_large_lattice_has_the_matrix_of_the_same_mesh_numbered_at_random(name
         elements=rng.permutation(number[mesh.elements]),
         facets=number[mesh.facets],
     )
-    ours = am.discrete.stiffness(mesh, material, elements)
+    matrix = am.discrete.stiffness(mesh, material, elements)
     dofs = (mesh.dim * number[:, None] + np.arange(mesh.dim)).ravel()
-    theirs = am.discrete.stiffness(at_random, material, elements).tocsr()[dofs][:, dofs]
-    assert abs(ours - theirs).max() <= 1e-11 * abs(theirs).max()
-    assert len(ours.indices) == theirs.nnz / mesh.dim**2
-    assert ours.has_sorted_indices and ours.indptr.dtype == np.int32
-    assert abs(ours - ours.T).max() == 0.0
+    expected = am.discrete.stiffness(at_random, material, elements).tocsr()[dofs][:, dofs]
+    assert abs(matrix - expected).max() <= 1e-11 * abs(expected).max()
+    assert len(matrix.indices) == expected.nnz / mesh.dim**2
+    assert matrix.has_sorted_indices and matrix.indptr.dtype == np.int32
+    assert abs(matrix - matrix.T).max() == 0.0
 
 
 def test_glued_bodies_move_together():

@@ -493,7 +493,7 @@ def test_supports_along_normals_turn_with_the_body(dim, seed, moves, tilt):
     straight, turned = (
         am.Hierarchy.from_meshes(
             pressed(dim, contact=am.Contact("bottom", am.Plane(place, matrix @ up)), **changes),
-            [replace(one, points=one.points @ matrix.T + place) for one in meshes],
+            [replace(mesh, points=mesh.points @ matrix.T + place) for mesh in meshes],
         )
         for matrix, place in ((np.eye(dim), np.zeros(dim)), (turn, shift))
     )
