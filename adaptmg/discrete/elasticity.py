@@ -61,9 +61,9 @@ from adaptmg.problem.laws import Elastic
 #: patches between a prefetch and its use: those of smoothed elements lie far apart. Their matrix of 118k nodes in space
 #: takes .21 s to sum (without 1.19; at 4 and 16 .33 and .21), of 36k .060 (.082; .064, .060); linear elements no less
 _LATER = 8
-#: nodes from which the matrix of a lattice repeats the rows of a small one: 21.9 ms for 263k nodes (all patches summed
-#: 55.8), 6.5 for 36k in space (38.7), there 36 of smoothed elements (213). With 4225 nodes in the plane both take .8;
-#: in space 1000 and of smoothed elements 300 to 800 would gain by up to 1 ms
+#: nodes from which the matrix of a lattice repeats the rows of a small one: 20 ms for 263k nodes (sum over patches 63),
+#: 9.4 for 36k in space (40), there 27 of smoothed elements (208). With 4225 nodes in the plane both take .8; in space
+#: it would pay from 1300 nodes on, of smoothed elements from 500: 1728 take .9 (1.2) and 1.9 ms (6.1)
 _REPEATED = 4000
 #: the rows of all nodes
 ALL_NODES = slice(None)
@@ -174,22 +174,23 @@ def stiffness(
 
 
 def _of_lattice(mesh: MeshArrays, material: Elastic, elements: str) -> sparse.bsr_array:
-    """Return the stiffness of a lattice in one uniform material: each row is that of a node of a small
-    lattice with the same cells, as far from the nearer end along each axis, or further than rows
-    reach. The coordinates there are exact, so that rows of the same kind have the same bits."""
+    """Return the stiffness of a lattice in one uniform material. Each row repeats that of a node of a
+    small lattice with the same cells: the node that is as far from the nearer end along each axis,
+    or in the middle along axes where both ends are beyond the reach of rows."""
     (counts,) = mesh.lattices
     reach = 1 if elements == "linear" else 2
-    # with 2 reach cells along an axis the node in the middle has a row of the kind inside
+    # with 2 reach cells along an axis the node in the middle has the row of all nodes beyond this reach
     few_counts = tuple(min(n, 2 * reach) for n in counts)
     unit = unit_lattice(few_counts)
     cell = (mesh.points[-1] - mesh.points[0]) / counts
-    # the node of the kind inside lies at the origin, so that opposite neighbours have opposite coordinates
+    # the node in the middle lies at the origin: its neighbours on opposite sides have opposite coordinates, so that
+    # their blocks are transposes of each other to the bit
     sample = stiffness(replace(unit, points=(unit.points - reach) * cell), material, elements)
     # the node of the small lattice that has the row of each node
     kinds = np.zeros(1, dtype=np.int32)
     for n, n_few, stride in zip(counts, few_counts, strides_of(few_counts), strict=True):
         place = np.arange(n + 1, dtype=np.int32)
-        # within reach of the lower end the same place, of the upper end as far from it, else the middle
+        # within reach of the lower end the same place, within reach of the upper end as far from it, else the middle
         place = np.minimum(place, np.maximum(reach, place - np.int32(n - n_few)))
         kinds = (place[:, None] * stride + kinds).reshape(-1)
     # the numbers that nodes of the small lattice have in the large one with the same origin; a column minus its
@@ -289,9 +290,8 @@ def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> Patches:
         hoops = np.repeat(1 / (3 * radius), corners).reshape(n, corners, 1)
         strain_rows = np.concatenate([strain_rows, hoops], axis=2)
         measures = 2 * np.pi * radius * measures
-    # k V_e B_e = sum V_T B_T: each of the k edges of an element T has the part V_T / k of its volume. The
-    # elements (n, n_nodes) have the slopes of their corners, and the hoop strain, as blocks of one row, and
-    # so have the edges (n_edges, n_nodes)
+    # k V_e B_e = sum V_T B_T: each of the k edges of an element T has the part V_T / k of its volume. Block
+    # (T, a) of ``of_elements`` (n, n_nodes) is one row, V_T times the slopes of corner a and its hoop strain
     weighted_rows = (measures[:, None, None] * strain_rows).reshape(n * corners, 1, -1)
     of_elements = sparse.bsr_array(
         (weighted_rows, mesh.elements.reshape(-1), corners * np.arange(n + 1)),
@@ -318,8 +318,7 @@ def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
     circumference."""
     if not axisymmetric:
         return mesh.volumes
-    radii = mesh.points[mesh.elements, 0].mean(axis=1)  # 11 ms for 263k nodes
-    return 2 * np.pi * radii * mesh.volumes
+    return 2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) * mesh.volumes
 
 
 def _sorted_edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
@@ -331,7 +330,7 @@ def _sorted_edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     )
     last_node = np.maximum(begin, end).reshape(-1)
     # sorted by the last node, then, where equal ones keep this order, by body and first node. The places
-    # of each number, one number after the other, are this order: 30 ms for 1.2 million edges of elements
+    # of each number, one number after the other, are this order: 35 ms for 1.2 million edges of elements
     # in space, by unique 98
     _, order = occurrences(last_node, mesh.n_nodes)
     _, by_first = occurrences(first_key[order], len(mesh.bodies) * mesh.n_nodes)
@@ -780,7 +779,7 @@ def rigid_body_modes(points: np.ndarray, nodes: np.ndarray | slice = ALL_NODES) 
     axes = np.eye(2)
     if dim == 3:
         moments_of_axes, axes = np.linalg.eigh(moments)
-    # sums of squares over all points, without the rotations of all
+    # the norms over all points of rotations about unit axes a: |a x x|^2 = |x|^2 - (a . x)^2
     turn_sizes = np.sqrt(np.maximum(np.trace(moments) - moments_of_axes, 0.0))
     # of points on a line one rotation vanishes, up to rounding: QR puts another orthonormal mode there
     on_line = not turn_sizes.min() > checks.SIX_DIGITS * turn_sizes.max()

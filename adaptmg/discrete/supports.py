@@ -122,7 +122,7 @@ class Inclined:
         held = sparse.csr_array(nodal_matrix(self.nodes, self.spans, n))
         held_stiffness = nodal_matrix(self.nodes, stiffness[:, None, None] * self.spans, n)
         free = sparse.bsr_array(sparse.eye_array(n) - held, blocksize=size)
-        # half of (I - Z) A (I - Z) + Z D Z, whose sum with its transpose is symmetric to the bit
+        # half of A' = (I - Z) A (I - Z) + Z D Z; its sum with its transpose is symmetric to the bit
         half = sparse.bsr_array(0.5 * (free @ matrix @ free + held_stiffness), blocksize=size)
         eliminated = sparse.bsr_array(half + half.T, blocksize=size).sorted_indices()
         # B (I - Z)

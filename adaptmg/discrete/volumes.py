@@ -65,8 +65,8 @@ class Volumes:
     means: sparse.csr_array  # (n_groups, n_nodes): shares of nodes in a group's volume, row sums 1
     areas: np.ndarray  # (n_groups,): A, m^2 (plane) or m^3
     compliance: np.ndarray  # (n_groups,): 1 / kappa, 1/Pa; 0: incompressible
-    #: (n_groups,): lambda_1 + mu, Pa, the pressure with which K' resists a mean volume strain of 1 that is equal in
-    #: both directions of the plane; in space this is lambda_1 + 2/3 mu, which the same number stands for
+    #: (n_groups,): lambda_1 + mu, Pa: the stress with which K' resists a volume strain of 1 that is equal along both
+    #: axes of the plane. Bodies in space, where this stress is lambda_1 + 2/3 mu, take the same number
     modulus: np.ndarray
     body: np.ndarray  # (n_groups,) int: number of the body that a group belongs to
     corners: np.ndarray  # (n_elements, dim + 1) int32: groups of the corners of elements, or -1
