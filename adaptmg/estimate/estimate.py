@@ -79,7 +79,7 @@ class Estimate:
     ----------
     squares : (n_elements,) array
         Square of each element's part, >= 0; N m. Of a goal: the absolute value of its part, in the
-        goal's unit; these mark, their sum overestimates the error many times and is never quoted.
+        goal's unit; these mark, their sum is mostly larger than the error and is never quoted.
     norm : float
         Energy norm of the displacement ||u_h||_A, sqrt(N m): what ``relative`` refers to.
     indicator : str

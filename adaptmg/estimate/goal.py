@@ -11,8 +11,8 @@ as halving the elements leaves a quarter of an error (hierarchical basis, R. Ban
 J. Numer. Anal. 30, 1993, doi:10.1137/0730048). The last difference is what the chords of curves
 change. Contact is linearised at the solution, and an edge between an open node and a closed one
 counts as open. The signed sum is quoted; its parts with the diagonal in place of :math:`A_{MM}` say
-by absolute value where to refine; the sum of these values is .77 to 7.7 times that of the signed sum
-(17 goals on a bar, a dovetail and a bolted junction).
+by absolute value where to refine. The sum of these values is .77 to 7.7 times the absolute value of
+the signed sum (17 goals on a bar, a dovetail and a bolted junction).
 
 R. Becker, R. Rannacher, Acta Numerica 10, 2001, doi:10.1017/S0962492901000010; with contact and
 friction linearised at the solution as in the semismooth Newton method. The sum does not contain

@@ -679,11 +679,11 @@ def _path_estimate(
             "load_path: nothing moves in any of its steps, so there is nothing to refine for"
         )
     k = max(estimates, key=lambda k: estimates[k].relative)
-    # the squares of each step over their sum, times the square of its relative estimate; a quantity that is
-    # zero has none: above 1 all steps count alike
+    # the squares of each step over their sum, times the square of its relative estimate, which is infinite
+    # for a quantity that is zero: above 1 all steps count alike
     shares = [
-        min(step.relative, 1.0) ** 2 / (step.squares.sum() or 1.0) * step.squares
-        for step in estimates.values()
+        min(estimate.relative, 1.0) ** 2 / (estimate.squares.sum() or 1.0) * estimate.squares
+        for estimate in estimates.values()
     ]
     return k, estimates[k], replace(estimates[k], squares=np.max(shares, axis=0))
 

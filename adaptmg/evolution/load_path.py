@@ -367,7 +367,8 @@ def solve_path(
             "progress", progress, "the number of a step and a row of its history (or a bool)"
         )
     checks.mapping("depends", {} if depends is None else depends, "names to what stands for them")
-    loop = _loop(grids, path, solver)
+    loop_type = PlasticLoop if grids.finest.discrete.inelastic else PathLoop
+    loop = loop_type(grids, path, solver)
     start_state = () if start is None else _check_start(loop, start)
     parts: dict[str, object] = {"solver": solver}
     if grids.finest.discrete.inelastic:
@@ -442,9 +443,3 @@ def _check_start(loop: PathLoop, start: Result) -> tuple[np.ndarray, ...]:
             f"level has, got {state.shape}: take a result of the same materials and elements"
         )
     return start.displacement, state, start.contact.accumulated_slip
-
-
-def _loop(grids: Grids, path: LoadPath, solver: Solver) -> PathLoop:
-    """Return the loop of a path, whose bodies may be plastic."""
-    loop = PlasticLoop if grids.finest.discrete.inelastic else PathLoop
-    return loop(grids, path, solver)
