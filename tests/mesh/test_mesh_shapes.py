@@ -366,6 +366,9 @@ def test_names_that_overlap_go_to_the_smallest_or_the_first(tmp_path):
         set(mesh.boundaries) == {"sides", "Seat", "free"}
         and len(mesh.boundary_facets("sides")) == 5
     )
+    # a set of all nodes is a boundary if it is asked for
+    mesh = am.mesh.from_file(path, boundaries=["whole"])
+    assert mesh.boundaries == ("whole",) and len(mesh.facets) == 8
     # a surface comes before a smaller set of nodes, and before one with the same name
     path.write_text(DECK + "*Surface, name=rim\n8, S2\n8, S3\n*Nset, nset=Seat\n1, 2\n")
     mesh = am.mesh.from_file(path, unnamed="free")
