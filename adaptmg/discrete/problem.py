@@ -136,7 +136,7 @@ class DiscreteProblem(Unknowns):
     coupling: Coupling | None = None  # says that all of the above is in relative coordinates
     bodies: Mapping[str, np.ndarray] | None = None  # nodes of each body by name, for messages
     # terms that u'Au lacks of twice the energy of the stresses, see EnergyTerms; None without them
-    strain_free: tuple[np.ndarray, float] | None = None
+    strain_free: EnergyTerms | None = None
     inclined: Inclined  # supports along directions that are not axes, which are eliminated from matrix and load
     # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
     ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...] = ()
@@ -164,7 +164,7 @@ class DiscreteProblem(Unknowns):
         name: str = "discrete problem",
         coupling: Coupling | None = None,
         bodies: Mapping[str, np.ndarray] | None = None,
-        strain_free: tuple[np.ndarray, float] | None = None,
+        strain_free: EnergyTerms | None = None,
         inclined: Inclined | None = None,
         ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...] = (),
         volumes: Volumes | None = None,
@@ -301,7 +301,7 @@ class DiscreteProblem(Unknowns):
         fixed_values: np.ndarray,
         slip_reference: np.ndarray,
         accumulated_slip: np.ndarray,
-        strain_free: tuple[np.ndarray, float] | None,
+        strain_free: EnergyTerms | None,
         volumes: Volumes,
         gaps: np.ndarray | None = None,
     ) -> DiscreteProblem:
@@ -329,7 +329,7 @@ class DiscreteProblem(Unknowns):
         self,
         load: np.ndarray,
         fixed_values: np.ndarray,
-        strain_free: tuple[np.ndarray, float] | None,
+        strain_free: EnergyTerms | None,
         volumes: Volumes,
     ) -> dict[str, Any]:
         """Return the parts of this problem under a load (n_dofs,), N, and prescribed displacements
@@ -506,7 +506,7 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
     load.flags.writeable = False
     strain_free = parts.get("strain_free")
     if strain_free is not None:
-        strain_free = EnergyTerms(coupling.relative_forces(strain_free[0]), strain_free[1])
+        strain_free = strain_free._replace(load=coupling.relative_forces(strain_free.load))
     volumes = parts["volumes"]
     volumes = replace(volumes, rows=coupling.relative_rows(volumes.rows))
     if parts.get("ties"):  # the relative displacement of tied nodes is fixed
