@@ -272,11 +272,9 @@ def _checked_gaps(
     gaps: ArrayLike, opposite_gaps: ArrayLike | None, n: int, scalar: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the gaps (n,) and the opposite gaps (n,) of contact nodes, read-only."""
-    opposite = (
-        _uniform(np.inf, n)
-        if opposite_gaps is None
-        else _limits("opposite_gaps", opposite_gaps, (n,))
-    )
+    opposite = _uniform(np.inf, n)
+    if opposite_gaps is not None:
+        opposite = _limits("opposite_gaps", opposite_gaps, (n,))
     if not scalar and np.isfinite(opposite).any():
         raise ValueError(
             "opposite_gaps are for scalar problems (dim 1): of a body between two obstacles the "
@@ -345,11 +343,9 @@ class Bounds(checks.Checked):
         is_limited = np.isfinite(gaps)
         n_limits = is_limited.sum(axis=(1, 2))
         nodes = np.flatnonzero(n_limits)
-        weights = (
-            None
-            if self.weights is None
-            else bounded("bounds.weights", self.weights, (len(gaps),))[nodes]
-        )
+        weights = self.weights
+        if weights is not None:
+            weights = bounded("bounds.weights", weights, (len(gaps),))[nodes]
         limited = partial(ContactNodes, nodes=nodes, weights=weights, allow_interference=True)
         dim = gaps.shape[1]
         if dim == 1:  # a scalar unknown may have both limits
@@ -380,7 +376,8 @@ class Bounds(checks.Checked):
         against_axes = -_open_limits("bounds.lower", lower, shape, np.inf)
         along_axes = _open_limits("bounds.upper", upper, shape, -np.inf)
         gaps = np.where(fixed[:, None], np.inf, np.stack([against_axes, along_axes], axis=1))
-        return gaps.reshape(-1, shape[1] if len(shape) == 2 else 1, 2)
+        dim = shape[1] if len(shape) == 2 else 1
+        return gaps.reshape(-1, dim, 2)
 
 
 def _open_limits(name: str, limit: ArrayLike, shape: tuple[int, ...], closing: float) -> np.ndarray:
