@@ -96,10 +96,6 @@ class TruncatedState:
     shorten: bool = False  # whether the next correction ends where the first open node closes
     from_start: float | None = None  # A-norm of the change by the first correction
 
-    def but(self, **changes: object) -> TruncatedState:
-        """Return the state with some fields changed."""
-        return with_fields(self, **changes)
-
 
 class TruncatedStep:
     """Steps on level ``number`` of the levels of a linear cycle, with contact. It stores matrices,
@@ -172,7 +168,7 @@ class TruncatedStep:
         """Return the state after a correction from the coarser levels, projection and search; a copy
         of a start. With ``shorten`` the correction ends where the first open node closes."""
         if state.linearised is None or state.coarse_residual is None:
-            return state.but(iterate=state.iterate.copy(), contact=state.contact.copy())
+            return with_fields(state, iterate=state.iterate.copy(), contact=state.contact.copy())
         self._truncate(state.linearised)
         present = state.iterate, state.coarse_residual
         recombined = self._recombined(state, state.coarse_residual)
@@ -197,7 +193,8 @@ class TruncatedStep:
             energy += self.pressures.advance(proposed, pressures, state.cautious > 0)
             self.cycle.recorder.count(2.0, self.pressures.nonzeros)
         self.cycle.recorder.visit(self.number, "prolong")
-        return state.but(
+        return with_fields(
+            state,
             iterate=iterate,
             contact=contact,
             residual=np.empty(len(proposed)),
@@ -234,10 +231,11 @@ class TruncatedStep:
             return state
         # the iterates before move along, so that recombination does not undo the motion
         motion = np.append(motion, np.zeros(len(pressures)))
-        return state.but(
+        return with_fields(
+            state,
             past=tuple(
                 (earlier + motion, coarse_residual) for earlier, coarse_residual in state.past
-            )
+            ),
         )
 
     def linearise(
@@ -274,7 +272,8 @@ class TruncatedStep:
         # away from contact nodes the natural residual is the residual
         free_squares = max(all_squares - truncated_squares, 0.0)
         natural = float(np.sqrt(free_squares + natural_squares))
-        measured = state.but(
+        measured = with_fields(
+            state,
             coarse_residual=coarse_residual,
             changed=changed,
             natural=natural,
@@ -296,7 +295,8 @@ class TruncatedStep:
             # to .5 take 1512 cycles in place of 1441
             status_moves = state.changed and state.linearised is not None
             contact.linearise_friction()
-            state = state.but(
+            state = with_fields(
+                state,
                 linearised=TruncatedStatus(contact, frozen),
                 past=(),
                 uniform=(),
@@ -308,7 +308,7 @@ class TruncatedStep:
                 self._of_uniform(contact, full_residual, state.residual, mode)
                 for mode in self.pressures.uniform
             )
-            state = state.but(uniform=directions)
+            state = with_fields(state, uniform=directions)
         return state
 
     def move(self, state: TruncatedState, change: np.ndarray) -> TruncatedState:
@@ -316,7 +316,7 @@ class TruncatedStep:
         unknowns = self.displacement(state)
         unknowns += change
         state.contact.start(unknowns)
-        return state.but(corrected=False, past=())
+        return with_fields(state, corrected=False, past=())
 
     def displacement(self, state: TruncatedState) -> np.ndarray:
         """Return the displacement (n_dofs,) of an iterate, from the prescribed values."""

@@ -34,7 +34,7 @@ from adaptmg.multigrid.cycle import NestedStart
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.split_matrix import galerkin_levels, nodal_prolongations
-from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.multigrid.truncated_contact import TruncatedContact, with_fields
 from adaptmg.multigrid.truncated_parts import FrameSmoother, Truncated
 from adaptmg.multigrid.truncated_step import CoarseContact, TruncatedState, TruncatedStep
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
@@ -202,7 +202,7 @@ class TruncatedCycles:
         is_uncertain = (
             self.coarse is not None and self.origin != "given" and state.linearised is None
         )
-        new = parts.correct(state, state.shorten).but(shorten=is_uncertain)
+        new = with_fields(parts.correct(state, state.shorten), shorten=is_uncertain)
         from_start = None
         if new.cycles == 1 and self.nested is not None:
             from_start = parts.distance(parts.displacement(new), self.nested[: parts.matrix.n_dofs])
@@ -213,7 +213,7 @@ class TruncatedCycles:
         measured = new.cycles % 4 == 0 or new.moves > state.moves or self.sizes.prescribed
         new = parts.linearise(parts.smooth(new), with_energy=measured)
         size = self.sizes.norm(parts.displacement(new), new.energy) if measured else new.size
-        return new.but(size=size, from_start=from_start)
+        return with_fields(new, size=size, from_start=from_start)
 
     def _after_coarse_contact(
         self, state: TruncatedState, coarse_contact: CoarseContact | CoarseObstacles
@@ -225,7 +225,7 @@ class TruncatedCycles:
             return state
         smoothed = self.parts.smooth(state)
         moved = coarse_contact(smoothed)
-        return moved.but(moves=state.moves + 1, shorten=moved is not smoothed)
+        return with_fields(moved, moves=state.moves + 1, shorten=moved is not smoothed)
 
     def _seeks_status(self, state: TruncatedState) -> bool:
         """Return whether the contact status is too uncertain to go on without a coarse contact
@@ -272,7 +272,7 @@ class TruncatedCycles:
         """Free what only further steps read, if it is much: half of the matrix, which is made again
         from the whole one, and past iterates, without which recombination starts again."""
         large = self.parts.matrix.set_aside(self.problem.matrix, self.problem.fixed)
-        return state.but(past=()) if large else state
+        return with_fields(state, past=()) if large else state
 
 
 _LOG = logging.getLogger(__name__)
