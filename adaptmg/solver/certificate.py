@@ -645,10 +645,9 @@ class Evidence:
         normals = self.problem.contact.normals
         nearest = self._nearest_status(conditions, unknowns)
         z = nearest.z
-        image = _image(self.problem.matrix, z)  # A z
-        size_of_z = np.sqrt(max(_sum(z, image), 0.0))
+        e = _image(self.problem.matrix, z)  # A z, the first part of e
+        size_of_z = np.sqrt(max(_sum(z, e), 0.0))
         # e, what is unexplained at v = u + z with the lawful contact forces in place of the claimed ones
-        e = image
         e += forces
         e[nodes] += conditions.forces(normals) - nearest.lawful
         contact_forces = e[nodes] + nearest.lawful

@@ -365,7 +365,7 @@ class FreeBodies:
     def _missed(self, evidence: Evidence, spring_forces: np.ndarray) -> np.ndarray:
         """Return the forces and moments (n_bodies, k), N, that do not balance: on each body the load,
         minus the forces of springs, plus those of supports, plus those of contacts and ties on its
-        slave surfaces, minus those on the slaves of its masters."""
+        slave surfaces, minus those on slaves whose master lies on the body."""
         discrete = evidence.problem
         shape = self.points.shape
         # friction along what supports hold counts as theirs: on masters it acts in other places

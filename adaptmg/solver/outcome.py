@@ -67,7 +67,7 @@ def method_argument(
     if solver is None and single and len(grids) > 1 and is_small(discrete):
         why = f"for {discrete.n_dofs} unknowns the quickest is the active set method"
         alone = grids.finest.posing(prolongation=None, surface_prolongation=None)
-        # the seconds of levels that are made already are not those of the solve
+        # the seconds that made the levels are not those of the solve
         return replace(grids, levels=(alone,), timings={}), FinestFirst(grids, rtol), why
     grids, method, why = _method(solver, grids)
     return grids, method if rtol is None else replace(cast("Any", method), rtol=rtol), why

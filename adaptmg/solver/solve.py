@@ -191,7 +191,7 @@ def _first_step(
     watched: Callable[[dict[str, float]], None] | None,
 ) -> Result:
     """Return the result under all loads of a problem that takes several contact problems."""
-    from adaptmg.evolution.load_path import solve_path  # other first solves do without it
+    from adaptmg.evolution.load_path import solve_path  # other problems start sooner without
 
     for name, value in (("start", start), ("reference", reference)):
         if value is not None:

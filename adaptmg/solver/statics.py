@@ -81,7 +81,7 @@ def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, 
 def check_statics_of(grids: Grids) -> None:
     """Call :func:`check_statics` on the coarsest level, and on the finest one only if that fails, if
     there are springs, or if the coarsest does not know its rigid motions. A coarse grid has the same
-    rigid motions, loads and directions of contact and costs nothing; on a curved surface the finest
+    rigid motions, loads and directions of contact and costs little; on a curved surface the finest
     may hold a motion that the coarsest does not."""
     coarsest = grids[0].discrete_or_none
     # a spring may count at nodes of a coarse grid, and be too soft at those of a finer one

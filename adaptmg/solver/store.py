@@ -99,7 +99,7 @@ class _Writer:
                 f"{name} must be a number, text, or a list or dict of these to be saved, "
                 f"got {checks.described(value)}"
             )
-        # numbered after what it holds, as the reader numbers what it makes
+        # an object gets its number after its parts, as in the reader, which makes the parts first
         self.seen[id(value)] = (len(self.seen), value)
         return written
 
