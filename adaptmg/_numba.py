@@ -210,8 +210,8 @@ def _compile_ahead() -> None:
     }
 
     def compile_until_done() -> None:
-        """Run the second process, and wait for its end: nobody else does, and it would stay in the
-        table of the system as a zombie."""
+        """Run the second process, and wait for its end, without which it would stay in the table of
+        the system as a zombie."""
         with suppress(OSError):
             # without an object of subprocess, which warns where Python ends before the process
             process = os.posix_spawn(

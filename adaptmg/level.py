@@ -327,6 +327,7 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
 
 def joined_on_demand(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -> Level:
     """Return the level ``above``, whose prolongation is built when it is first read."""
+    # the parts that are made: to read others would make them
     posed = {
         name: part
         for name, part in vars(above).items()

@@ -294,7 +294,7 @@ def local_galerkin(
     An idle coarse dof moves no fine dof: its column of P is zero, and so is its residual. It gets a
     diagonal entry, without which a sweep divides by zero; as its correction is zero, any size serves,
     here the mean of the other entries. The matrix of ``level`` has such entries, too, at dofs that are
-    idle for the level ``finer`` above it: they are no stiffness, and do not enter P'AP."""
+    idle for the level ``finer`` above it: they are not stiffness, and do not enter P'AP."""
     dim = coarse.dim
     prolongation = level.prolongation
     restriction = level.restriction

@@ -86,8 +86,8 @@ class LinearLevel:
         """Smooth from zero, and leave the residual f - A u in ``rest``; return the passes over the
         matrix. f is the load, A = L + D + U.
 
-        One sweep goes forward; two go forward and backward; three forward, forward and backward, and
-        so on: a forward sweep in front of an odd number. A forward sweep leaves s = f - L u in
+        Pairs of sweeps go forward and backward; an odd number has one more forward sweep in front of
+        the pairs. A forward sweep leaves s = f - L u in
         ``rest`` and ends with D u = s - U u, where u is that before the sweep, zero in the first one. A
         backward sweep keeps s and ends with D u = s - U u, where u is that after it."""
         matrix = self.matrix
@@ -361,7 +361,7 @@ class CoarseFactors:
         self._solve = self._factors(self._shift)
         # the probe, a random load of the size of the diagonal, has a part along every motion that the
         # matrix leaves free. It moves a dof by about 1, or by 1 / rounding and more (infinite, NaN) where
-        # nothing but rounding determines it
+        # only rounding determines it
         undetermined = ~(np.abs(self._solve(self._probe_load)) < 1 / checks.ROUNDING)
         if undetermined.any():
             self._shift = np.where(undetermined, checks.SIX_DIGITS * self._scale, self._shift)

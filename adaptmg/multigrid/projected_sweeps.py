@@ -388,7 +388,7 @@ class Interface:
         n = level.n_nodes
         dim = level.dim
         self.dim = dim
-        # L by nodes; its entries are the numbers of its blocks, from 1 (0 is no entry)
+        # L by nodes; its entries are the numbers of its blocks, from 1: zeros are not entries
         numbers = np.arange(1, len(level.lower_indices) + 1)
         lower = sparse.csr_array(
             (numbers, level.lower_indices.astype(np.int32), level.lower_indptr), shape=(n, n)

@@ -195,9 +195,9 @@ def between_levels(
 def _limited_rows(
     coarse_problem: DiscreteProblem, rows: sparse.csr_array
 ) -> sparse.csr_array | None:
-    """Return the rows of contact nodes without a master, without the coarse nodes that would move them
-    beyond the obstacle; None if there are none of these. Contact nodes have bounds that prevent it, and
-    held nodes do not move."""
+    """Return the rows of contact nodes without a master, without the coarse nodes that could move them
+    beyond the obstacle; None if there are none of these. Coarse contact nodes have bounds that prevent
+    it, and held ones do not move."""
     held = coarse_problem.fixed.reshape(-1, coarse_problem.dim).all(axis=1)
     no_limit = np.array(~held)
     no_limit[coarse_problem.contact.nodes] = False
