@@ -61,6 +61,25 @@ def test_closed_cracks_pass_pressure_on(coupling, paths):
         assert not np.isin(result.contact.node, np.intersect1d(left, right)).any()
 
 
+@pytest.mark.parametrize("coupling", ["nodes", "mortar"])
+def test_a_prescribed_gap_of_a_crack_closes_at_its_nodes_next_to_the_tips(coupling):
+    gap = 0.05 * P
+    problem = squeezed(np.random.default_rng(3), {"inner": [(-1, 0.5), (0, 0.7)]}, coupling)
+    problem = replace(problem, contact=replace(problem.contact[0], gap=gap))
+    result = am.solve(am.Hierarchy.graded(problem, (0.2,), 1), am.ActiveSet())
+    mesh = result.mesh
+    contact = result.contact
+    right = mesh.boundary_nodes("inner.right")
+    away = np.linalg.norm(contact.x[:, None] - mesh.points[right], axis=2)
+    approach = result.displacement[contact.node] - result.displacement[right[away.argmin(axis=1)]]
+    next_to_tip = contact.measures > 1.1 * contact.weights
+    assert away.min(axis=1).max() < 1e-9 and next_to_tip.sum() == 2
+    assert contact.closed[next_to_tip].all()
+    np.testing.assert_allclose(
+        np.einsum("nd,nd->n", approach, contact.normal)[contact.closed], gap, rtol=1e-9
+    )
+
+
 def test_stress_intensity_factors_are_those_of_an_infinite_plate():
     rng = np.random.default_rng()
     c = np.sqrt(0.5)
