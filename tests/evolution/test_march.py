@@ -217,6 +217,27 @@ def test_a_sliding_block_stops(law, distance):
     assert last.contact.counts()["stick"] == len(last.contact)
 
 
+def test_energy_is_conserved_on_a_wider_floor_whose_nodes_take_over_parts_of_others():
+    density = 2000.0
+    floor = am.Rectangle(width=1.0, height=0.1, origin=(-0.33, -0.1))
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts={"block": am.Rectangle(width=0.4, height=0.1), "floor": floor}),
+        material=am.PlaneStrain(young=1e8, poisson=0.3),
+        contact=am.ContactPair("floor.top", "block.bottom"),
+        law=am.Coulomb(0.3),
+        loads=[am.BodyForce((0.0, -density * 9.81))],
+        supports=[am.Support("floor.bottom", x=0.0, y=0.0)],
+    )
+    grids = am.Hierarchy.uniform(problem, [{"block": (4, 1), "floor": (22, 2)}])
+    dynamics = am.Dynamics(
+        density=density, initial_velocity={"block": (0.1, 0.0)}, step=0.001, end=0.005
+    )
+    results = list(am.march(grids, dynamics, start=am.solve(grids), rtol=1e-10))
+    assert (results[0].contact.measures > results[0].contact.weights).any()
+    assert results[-1].energies["friction"] > 0.1 * results[-1].energies["kinetic"]
+    np.testing.assert_allclose([total(result) for result in results], total(results[0]), rtol=1e-8)
+
+
 def test_an_interrupted_march_goes_on_with_the_same_bits(tmp_path):
     grids, down = bar("plane", ((1, 10), (2, 20)), gap=0.5)
     dynamics = am.Dynamics(density=1.0, initial_velocity=10 * down, step=0.01, end=0.2)
