@@ -253,10 +253,9 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
         "a slope of friction over pressure of",
     )
     # a node that has jumped is beyond the slips where friction falls fastest, and shows nothing
-    slopes_of_slip = []
-    for share in SLIP_SHARES:
-        _, _, slope_of_slip = friction_bound(discrete.friction_at, force, share * slip)
-        slopes_of_slip.append(slope_of_slip)
+    slopes_of_slip = [
+        friction_bound(discrete.friction_at, force, share * slip)[2] for share in SLIP_SHARES
+    ]
     steepest = np.min(slopes_of_slip, axis=0)
     stiffness = np.abs(np.diagonal(blocks[:, 1:, 1:], axis1=1, axis2=2)).max(axis=1)
     weak = (contact.state == SLIP) & (-steepest > stiffness)

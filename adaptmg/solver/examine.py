@@ -451,14 +451,12 @@ def _forces_on_other_nodes(
         carried = (taken_over.T @ forces[slaves])[neighbours]
         held = (taken_over.T @ held_forces[slaves])[neighbours]
         carried -= held - np.einsum("nij,nj->ni", discrete.held_spans(neighbours), held)
-        count = len(neighbours)
-        pieces.append((neighbours, carried, np.full(count, k), np.full(count, True)))
+        pieces.append((neighbours, carried, np.full(len(carried), k), np.full(len(carried), True)))
         rows = np.flatnonzero(boundaries == k)
         weights = all_weights[rows]
         masters = np.unique(weights.indices).astype(np.int64)
         on_masters = -(weights.T @ all_forces[rows])[masters]
-        count = len(masters)
-        pieces.append((masters, on_masters, np.full(count, k), np.full(count, False)))
+        pieces.append((masters, on_masters, np.full(len(masters), k), np.full(len(masters), False)))
     node, exerted, boundary, on_slave = map(np.concatenate, zip(*pieces, strict=True))
     return node, exerted, boundary, on_slave
 
