@@ -94,3 +94,22 @@ def test_stress_on_faces_of_solids_is_as_accurate_as_fits_allow():
     assert np.sqrt(np.mean(errors[outside & face] ** 2)) < 3 * np.sqrt(
         np.mean(errors[~outside] ** 2)
     )
+
+
+def test_a_result_with_gaps_of_nodes_that_take_over_others_belongs_to_its_problem():
+    block = am.Rectangle(width=0.4, height=0.1, origin=(0.0, 1e-4))
+    floor = am.Rectangle(width=1.0, height=0.1, origin=(-0.33, -0.1))
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts={"block": block, "floor": floor}),
+        material=am.PlaneStrain(young=1e8, poisson=0.3),
+        contact=am.ContactPair("floor.top", "block.bottom"),
+        law=am.Frictionless(),
+        supports=[
+            am.Support("block.top", x=0.0, y=-2e-4),
+            am.Support("floor.bottom", x=0.0, y=0.0),
+        ],
+    )
+    grids = am.Hierarchy.uniform(problem, [{"block": (4, 1), "floor": (22, 2)}])
+    result = am.solve(grids)
+    assert (result.contact.measures > result.contact.weights).any()
+    assert am.Recovery().indicate(grids, result).total > 0
