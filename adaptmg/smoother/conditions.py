@@ -193,7 +193,7 @@ def linearise(
     # h z z'
     along = equations.direction[:, :, None] * equations.direction[:, None, :]
     equations.curvature[:] += (active * hardening)[:, None, None] * along
-    # these change normal equations only; the last ones replace tangential ones, h z z' included
+    # springs change normal equations only; slip along held tangents replaces tangential ones, h z z' too
     compliant = np.flatnonzero(active & (contact.compliances * stiffness[:, 0] > STIFF))
     _set_springs(contact, unknowns, compliant, equations)
     return _slip_along_held(contact, tau, residual, equations)

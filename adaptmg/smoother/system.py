@@ -377,7 +377,7 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     contact, frames = local_contact(problem)
     cartesian = nodal_blocks(problem, problem.contact.nodes)
     blocks = np.einsum("nij,njk,nlk->nil", frames, cartesian, frames)
-    # of rows and columns of held tangents the diagonal entry is left
+    # of rows and columns of held tangents only the diagonal entries stay
     free = np.ones((len(blocks), problem.dim), dtype=bool)
     free[:, 1:] = ~held_tangents(problem)
     stays = (free[:, :, None] & free[:, None, :]) | np.eye(problem.dim, dtype=bool)

@@ -325,7 +325,7 @@ def test_a_compliant_surface_yields_with_its_pressure(dim, seed, law, exponent, 
     if w[0] <= gap:
         assert_conditions(w, block, force, gap, *rest)
     else:
-        # to rounding of its gap, which is that of the pressure
+        # equal up to the rounding of the forces, whose difference is the pressure
         yielded = gap + compliance * pressure
         size = abs(gap) + compliance * (np.abs(force).sum() + np.abs(block @ np.diag(w)).sum())
         assert w[0] == pytest.approx(yielded, rel=0, abs=1e-13 * size)
