@@ -247,5 +247,5 @@ def clock() -> float:
 def _announce(part: str) -> None:
     say(
         f"adaptmg: compiling kernels of {part} (up to {_SECONDS.get(part, 5)} s, once on this machine; "
-        "'adaptmg warm' compiles all)"
+        "'adaptmg warm' compiles nearly all)"
     )

@@ -518,7 +518,7 @@ class Evidence:
         # is -p
         required = np.einsum("nd,nd->n", self.at_contact, self.normals) - self.pressure
         tension = np.maximum(np.maximum(required, -self.pressure), 0.0)
-        # each in its scale: a rounding force times a gap of a thousand displacements is no violation
+        # each in its scale: a rounding force times a gap of a thousand displacements is not a violation
         both = np.maximum(
             np.minimum(self.pressure / (self.force or 1.0), gap / (self.length or 1.0)), 0.0
         )
