@@ -71,6 +71,7 @@ INSIDE = {
     "Arc",
     "Computed",
     "Coupling",
+    "EnergyTerms",
     "Factorised",
     "Functional",
     "Inclined",
