@@ -61,6 +61,7 @@ class _Writer:
     def __init__(self, kinds: Kinds) -> None:
         self.kinds = kinds
         self.arrays = {}
+        # by id: the number of an object, and the object, which is kept alive so that its id stays its own
         self.seen: dict[int, tuple[int, object]] = {}
 
     def plain(self, name: str, value: object) -> Any:
@@ -125,7 +126,7 @@ class _Reader:
     def __init__(self, kinds: Kinds, arrays: Mapping[str, np.ndarray]) -> None:
         self.kinds = {kind.__name__: kind for kind in kinds}
         self.arrays = arrays
-        self.seen = []
+        self.seen = []  # objects by their numbers in the writer
 
     def value(self, plain: Any) -> Any:
         """Return the value that :meth:`_Writer.plain` has turned into JSON."""
@@ -432,9 +433,11 @@ def fingerprint(
 
 
 def _sums(values: np.ndarray) -> list[float]:
-    """Return the length of an array, its norm, and its product with a fixed wave."""
-    # gaps are infinite where there is no limit
-    flat = np.nan_to_num(np.asarray(values, dtype=np.float64).reshape(-1), posinf=0.0)
+    """Return the length of an array, its norm, and its product with a fixed wave. Gaps are infinite where
+    there is no limit: then the sums of the finite numbers, and those of the mask of the others."""
+    flat = np.asarray(values, dtype=np.float64).reshape(-1)
+    if np.isinf(flat).any():
+        return [*_sums(np.where(np.isinf(flat), 0.0, flat)), *_sums(np.isinf(flat))]
     # not through BLAS, whose sums depend on the number of threads
     return [
         float(flat.size),

@@ -274,6 +274,18 @@ def test_limits_may_cross_where_a_dof_is_fixed():
     assert am.solve(string, am.SingleGrid()).displacement[:, 0] == pytest.approx([0.0, 0.1, 0.5])
 
 
+def test_a_store_tells_no_limit_from_a_limit_of_zero(tmp_path):
+    def solved(limit):
+        limited = posed(bounds=am.Bounds(lower=-1.0, upper=[limit, 0.1, 0.9]))
+        path = am.LoadPath(default=[1.0])
+        return am.solve_path(limited, path, am.SingleGrid(), store=tmp_path)[0].displacement[:, 0]
+
+    assert solved(np.inf) == pytest.approx([0.5, 0.1, 0.5])
+    with pytest.raises(ValueError, match="belongs to another run: contact differs"):
+        solved(0.0)
+    assert solved(np.inf) == pytest.approx([0.5, 0.1, 0.5])
+
+
 def held_at(value, **limits):
     square = am.Rectangle(width=1.0, height=1.0)
     return am.Hierarchy.uniform(am.ScalarProblem(domain=square, value=value, **limits), (2, 4))
