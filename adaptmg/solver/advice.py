@@ -100,6 +100,7 @@ def advise_on_problem(posed: Posed | None) -> None:
     mesh = posed.mesh
     materials = posed.materials
     check_loads(mesh, problem.loads)
+    # both sides of a pair within the only body are as stiff
     for pair in problem.contact if len(mesh.bodies) > 1 else ():
         if not isinstance(pair, ContactPair):
             continue
@@ -147,10 +148,12 @@ def _advise_on_chords(
     the gap, or add considerably to the largest pressure."""
     if posed is None or discrete.coupling is None:
         return
+    # (n_contact,): the largest pressure of each node in all results, Pa
     peaks = np.max([result.contact.pressure for result in results], axis=0, initial=0.0)
     contact = discrete.contact
     for k, pair in enumerate(posed.problem.contact):
         pressed = (contact.boundary == k) & (peaks > 0)
+        # a gap that is given does not come from the chords
         if not isinstance(pair, ContactPair) or pair.gap is not None or not pressed.any():
             continue
         nodes = contact.nodes[pressed]
@@ -254,7 +257,9 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
     )
     # a node that has jumped is beyond the slips where friction falls fastest, and shows nothing
     slopes_of_slip = [
-        friction_bound(discrete.friction_at, force, share * slip)[2] for share in SLIP_SHARES
+        slope_of_slip
+        for share in SLIP_SHARES
+        for _, _, slope_of_slip in [friction_bound(discrete.friction_at, force, share * slip)]
     ]
     steepest = np.min(slopes_of_slip, axis=0)
     stiffness = np.abs(np.diagonal(blocks[:, 1:, 1:], axis1=1, axis2=2)).max(axis=1)
@@ -409,7 +414,7 @@ def _energy_excludes_strains(posed: Posed, result: Result, body_volumes: np.ndar
 def _advise_on_rotations(mesh: MeshArrays, result: Result) -> None:
     """Warn of bodies that turn far."""
     motion = result.displacement
-    if mesh.dim != motion.shape[1]:
+    if mesh.dim != motion.shape[1]:  # a scalar problem
         return
     for body, name in enumerate(mesh.bodies):
         elements = np.flatnonzero(mesh.element_body == body)
@@ -454,7 +459,8 @@ def _advise_on_slips(posed: Posed, result: Result) -> None:
             i = int(np.argmax(slip - most_slip))
             advise(
                 "slip",
-                f"contact {contact_part.boundary!r} slips by {slip[i]:.3g} m, more than an element ({most_slip[i]:.3g} "
-                "m), but the theory is one of small slips: each point stays opposite to where it was. Move or load "
-                "the bodies less, or pose the problem in the position to which they slid",
+                f"contact {contact_part.boundary!r} slips by {slip[i]:.3g} m, more than {most_slip[i]:.3g} m, the "
+                f"larger of an element and {SLID:.0%} of the boundary, but the theory is one of small slips: each "
+                "point stays opposite to where it was. Move or load the bodies less, or pose the problem in the "
+                "position to which they slid",
             )

@@ -198,7 +198,9 @@ def test_slips_beyond_an_element_count_between_bodies_alone():
         return bar_hierarchy(replace(problem, supports=(replace(first, x=by), *others)), 2)
 
     assert not warned(lambda: am.solve(pushed(1e-5)))
-    with pytest.warns(UserWarning, match="more than an element.*small slips"):
+    with pytest.warns(
+        UserWarning, match="the larger of an element and 1% of the boundary.*small slips"
+    ):
         am.solve(pushed(15e-3), throw=False)
     # a plane is the same everywhere, also after a motion
     problem = bar().problem
