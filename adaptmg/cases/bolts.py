@@ -372,14 +372,15 @@ def _bolt_places(flanges: Flanges) -> list[tuple[float, float]]:
 def _drilled(
     profile: am.Polygon, flanges: Flanges, places: list[tuple[float, float]]
 ) -> SolidDomain:
-    """Return a flange as a solid with a hole for each bolt."""
+    """Return a quarter of a flange, between the planes of symmetry y = 0 and x = 0, with a hole for each
+    bolt axis at (x, y) in ``places``, m."""
     solid: SolidDomain = am.Revolution(profile, angle=90.0)
     reach = 2 * flanges.clamped
     for x, y in places:
         solid = am.Cut(
             solid,
-            am.Cylinder((x, y, -reach), (0.0, 0.0, 1.0), flanges.hole, 2 * reach),
-            {"b.side": "hole"},
+            am.Cylinder((x, y, -reach), (0.0, 0.0, 1.0), radius=flanges.hole, height=2 * reach),
+            rename={"b.side": "hole"},  # the side of the cylinder bounds the hole
         )
     return solid
 

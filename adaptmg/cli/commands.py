@@ -577,13 +577,15 @@ def _fail(text: str, as_json: bool) -> None:
 
 
 def _message(error: Exception) -> str:
-    """Return the message of an error as a user should read it."""
+    """Return the message of an error as a user should read it: alone where it is written for users, after
+    the type of the error where it is not."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror if error.filename is None else f"{error.strerror}: {error.filename!r}"
     if isinstance(error, MemoryError):
         return f"not enough memory: take fewer or larger elements ({error})"
-    plain = isinstance(error, ValueError | TypeError | OSError) or hasattr(error, "result")
-    return str(error) if plain else f"{type(error).__name__}: {error}"
+    # NotConverged has a result; importing it here would load the solvers for every message
+    for_users = isinstance(error, ValueError | TypeError | OSError) or hasattr(error, "result")
+    return str(error) if for_users else f"{type(error).__name__}: {error}"
 
 
 def _say(text: str, err: bool = False) -> None:

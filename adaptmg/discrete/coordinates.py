@@ -211,7 +211,7 @@ class Unknowns:
     fixed: np.ndarray
     fixed_values: np.ndarray
     inclined: Inclined
-    ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...]
+    ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...]  # see DiscreteProblem
 
     @property
     def held(self) -> np.ndarray:
@@ -383,6 +383,7 @@ class Unknowns:
             spans = to_tangents @ self.held_spans(facing[[i]].indices) @ to_tangents
             along_one = np.abs(np.einsum("nii->n", spans) - 1) < checks.SIX_DIGITS
             if along_one.any():
+                # a projection onto one direction: the eigenvector of its largest eigenvalue, 1
                 first = np.linalg.eigh(spans[np.argmax(along_one)])[1][:, -1]
                 tangents[i] = first, np.cross(frames[i, 0], first)
         return tangents

@@ -90,15 +90,16 @@ def lame_constants(materials: tuple[Elastic, ...]) -> tuple[np.ndarray, np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class Moduli:
-    """Tensors C of elements."""
+    """Tensors C of elements; k is 4 in the plane and 6 in space."""
 
-    #: (m, k, k): C, Pa; in plane stress the row zz gives the strain through the thickness, and the column zz is 0
+    #: (n_tensors, k, k): C, Pa; in plane stress the row zz gives the strain through the thickness, not a stress, and
+    #: the column zz is 0
     table: np.ndarray
-    rows: np.ndarray  # (n_elements,) int32: the number of the tensor of each element
+    rows: np.ndarray  # (n_elements,) int32: the row of ``table`` with the tensor of each element
 
     def stress(self, strain: np.ndarray) -> np.ndarray:
-        """Return columns (n_elements, k) of C times strains (n_elements, 3, 3); plane stress:
-        without that of zz."""
+        """Return the columns (n_elements, k) of C times strains (n_elements, 3, 3), Pa; in plane stress
+        the column zz is the strain through the thickness."""
         strain = columns(strain, self.table.shape[1])
         if len(self.table) == 1:  # .22 ms for 24 576 tetrahedra, by entries .92
             return strain @ self.table[0].T
@@ -134,7 +135,10 @@ def edge_parts(materials: tuple[Elastic, ...]) -> np.ndarray:
 
 def moduli(mesh: MeshArrays, materials: tuple[Elastic, ...], elements: str = "linear") -> Moduli:
     """Return the tensors of the materials of the bodies; for smoothed elements without the part that
-    acts on groups of nodes (:mod:`adaptmg.discrete.volumes`)."""
+    acts on groups of nodes (:mod:`adaptmg.discrete.volumes`), in the same rows as for linear ones.
+
+    The table begins with an isotropic tensor for each body, which elements of an anisotropic one do not
+    use: theirs follow, one for the body, or one for each element if its axes vary."""
     thin = np.array([isinstance(elastic, PlaneStress) for elastic in materials])
     most = edge_parts(materials) if elements == "smoothed" else np.inf
     result = isotropic(*lame_constants(materials), thin, mesh, most)

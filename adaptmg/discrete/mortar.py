@@ -341,6 +341,7 @@ def _with_partners(
     shortest = np.full(len(surfaces.points), np.inf)
     np.minimum.at(shortest, surfaces.slave, _edge_lengths(surfaces.slave_side).min(axis=1)[:, None])
     allowed = _OFFSET * shortest[nodes]
+    # sums of the area vectors of the master's facets at its nodes
     vectors = np.zeros(points.shape)
     for corner in surfaces.master.T:
         np.add.at(vectors, corner, surfaces.master_side.vectors)

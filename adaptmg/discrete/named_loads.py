@@ -42,7 +42,8 @@ class LoadSteps:
     posed: Posed | Any = None
 
     def stress_data(self, factors: Mapping[str, float]) -> StressData | Any:
-        """Return the stress data of a step."""
+        """Return the stress data of a step k, with its initial strains; ``factors`` are the
+        lambda_kj of the loads j by name. None without a problem."""
         if not self.strains:
             return self.stress
         return replace(

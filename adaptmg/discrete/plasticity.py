@@ -120,8 +120,8 @@ class InelasticBodies:
     def respond(
         self, problem: DiscreteProblem, displacement: np.ndarray, state: np.ndarray
     ) -> Response:
-        """Return the response to unknowns (n_dofs,) of an elastic ``problem`` after a load step
-        that began with a ``state``."""
+        """Return the response to unknowns (n_dofs,) of an elastic ``problem``, of bodies whose ``state``
+        (m, n) is that at the beginning of the load step."""
         k = self.elastic.shape[1]
         strain = (self.strains @ problem.physical(displacement).reshape(-1)).reshape(-1, k)
         stress, tangent, state = self._material(strain, state)
@@ -132,6 +132,8 @@ class InelasticBodies:
         # f - f_int = f - K u + sum V B' rho, rho = C B u - sigma
         relaxed = np.einsum("nij,nj->ni", self.elastic, strain) - stress
         forces = self.strains.T @ (self.measures[:, None] * relaxed).reshape(-1)
+        # f - K u with the rows along inclined supports, which are eliminated from the elastic problem with
+        # their prescribed values: the problem of the tangent eliminates its own rows again
         elastic = problem.inclined.imbalance(
             problem.residual(displacement), displacement, problem.fixed_values
         )

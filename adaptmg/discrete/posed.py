@@ -404,7 +404,7 @@ def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
     ]
     if all(law is problem.law for law in laws):
         return _evaluated(problem.law, points, contact.weights)
-    bounds = np.zeros((2, len(contact)))
+    bounds = np.zeros((2, len(contact)))  # Tresca limits, N, and coefficients of friction
     following: list[tuple[FollowsState, np.ndarray]] = []
     for k, boundary_law in enumerate(laws):
         on_boundary = contact.boundary == k

@@ -138,7 +138,8 @@ class DiscreteProblem(Unknowns):
     # terms that u'Au lacks of twice the energy of the stresses, see EnergyTerms; None without them
     strain_free: EnergyTerms | None = None
     inclined: Inclined  # supports along directions that are not axes, which are eliminated from matrix and load
-    # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
+    # slave and master boundary, slave nodes (n,) whose relative displacement is fixed to zero, and all nodes
+    # (m,) of the slave boundary
     ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...] = ()
     volumes: Volumes  # groups of nodes whose mean volume strains add to the stiffness
     inelastic: bool = False  # whether the matrix is that of bodies before they yield
@@ -367,9 +368,10 @@ class DiscreteProblem(Unknowns):
     def friction_at(self, normal_force: np.ndarray, slip: np.ndarray) -> np.ndarray:
         """Return the coefficients of friction (n_contact,) at nodal forces, N, and slips, m: those of
         the law, which may depend on both."""
-        if not isinstance(self.law, FollowsState):
-            return np.asarray(self.law.bounds(len(self.contact))[1])
         contact = self.contact
+        if not isinstance(self.law, FollowsState):
+            _, friction = self.law.bounds(len(contact))
+            return np.asarray(friction)
         # of a node that takes over others the force is that of its weight, the slip a sum; laws take means
         pressure = normal_force / contact.weights
         slip = slip * contact.weights / contact.measures + contact.accumulated_slip

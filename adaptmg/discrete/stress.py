@@ -78,7 +78,7 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 
 def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     """Return the gradients d u_i / d x_j (n_elements, dim, dim)."""
-    slopes = shape_gradients(mesh)[0]
+    slopes, _ = shape_gradients(mesh)
     corners = _nodal(mesh, displacement).take(mesh.elements, axis=0)
     gradients = np.empty((len(corners), mesh.dim, mesh.dim))
     for i, j in np.ndindex(mesh.dim, mesh.dim):  # three times as fast as products of small matrices
@@ -159,16 +159,15 @@ class StressData:
         thick = _AXISYMMETRIC if is_axisymmetric(materials) else _PLAIN  # of all bodies or of none
         kind = [_THIN if isinstance(elastic, PlaneStress) else thick for elastic in materials]
         strains = [load for load in loads if isinstance(load, InitialStrain)]
-        initial = (
-            mean_initial_strain(mesh, strains, axisymmetric=is_axisymmetric(materials))
-            if strains
-            else None
-        )
         tensors = moduli(mesh, materials, elements)
         return cls(
             *lame_constants(materials),
             kind=np.array(kind, dtype=np.int8),
-            initial_strain=np.zeros((0, 3)) if initial is None else initial,
+            initial_strain=mean_initial_strain(
+                mesh, strains, axisymmetric=is_axisymmetric(materials)
+            )
+            if strains
+            else np.zeros((0, 3)),
             smoothed=elements == "smoothed",
             moduli=tensors if any(elastic.anisotropy for elastic in materials) else None,
         )
@@ -266,13 +265,12 @@ class StressData:
                 f"belong to a mesh of {len(mesh.bodies)} and {len(mesh.elements)}"
             )
         dim = mesh.dim
-        diagonal = np.arange(3)
         strain = np.zeros((len(mesh.elements), 3, 3))
         strain[:, :dim, :dim] = element_strain(mesh, displacement)
         if self.axisymmetric:
             strain[:, 2, 2] = hoop_strain(mesh, displacement)
         if len(self.initial_strain):
-            strain[:, diagonal, diagonal] -= self.initial_strain
+            strain[:, np.arange(3), np.arange(3)] -= self.initial_strain
         # the tensors of sheets account for the free strain through the thickness
         strain[self.thin[mesh.element_body], 2, 2] = 0.0
         return strain
@@ -284,9 +282,8 @@ class StressData:
                 mesh, strain.reshape(-1, 9), element_measures(mesh, self.axisymmetric)
             ).reshape(-1, 3, 3)
         stress = as_tensors(self.of_elements(mesh).stress(strain))
-        diagonal = np.arange(3)
         if self.pressure is not None:
-            stress[:, diagonal, diagonal] += self.pressure[:, None]
+            stress[:, np.arange(3), np.arange(3)] += self.pressure[:, None]
         stress[self.thin[mesh.element_body], 2, 2] = 0.0
         return stress
 
@@ -449,8 +446,8 @@ def _add_extrapolated(
 def _fits(
     patches: sparse.csr_array, places: np.ndarray, centroids: np.ndarray, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return fits a, B (n, dim + 1, n_values) around places (n, dim) and whether the patches (n,
-    n_elements) determine them; elsewhere a is the mean."""
+    """Return fits a, B (n, dim + 1, n_values) around places (n, dim), and the mask (n,) of the patches
+    (n, n_elements) that determine them; elsewhere a is the mean, and B has no meaning."""
     first = patches.indptr[:-1]
     rows = np.repeat(np.arange(len(places)), np.diff(patches.indptr))
     offsets = centroids.take(patches.indices, axis=0) - places.take(rows, axis=0)

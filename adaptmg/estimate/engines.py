@@ -362,8 +362,8 @@ def _nodes_to_aim_at(nodes: int, max_nodes: int | None, growth: float) -> float:
     return nodes * (aim / nodes) ** (1 / steps)
 
 
-# nodes per h^(1-d) of boundary, in the plane by Euler's formula: half and twice change the nodes of 10 loops by -3 and
-# 1 %
+# b_d, nodes per h^(1-d) of boundary, in the plane by Euler's formula: half and twice change the nodes of 10 loops by
+# -3 and 1 %; a_d is NODES_PER_CELL
 _BOUNDARY = {2: 1 / 2, 3: 0.6}
 
 
@@ -384,15 +384,17 @@ def nodal_sizes(mesh: MeshArrays, sizes: np.ndarray) -> np.ndarray:
 
 
 class NodeCount:
-    """The estimated number of nodes of a mesh whose sizes are given at the nodes of another ``mesh``;
+    """The estimated number of nodes N of a mesh whose sizes h are given at the nodes of another ``mesh``;
     see the module for the formula."""
 
     def __init__(self, mesh: MeshArrays) -> None:
+        """Prepare the weights of the integrals: a sample at each of the dim + 1 corners of an element, and
+        of the dim corners of a facet, has its share of a_d and of b_d."""
         self.mesh = mesh
         dim = mesh.dim
         self.inside = mesh.volumes * (NODES_PER_CELL[dim] / (dim + 1))
         self.boundary = Surface(mesh.points, mesh.facets).measures * (_BOUNDARY[dim] / dim)
-        # calibrated by this mesh, whose number of nodes is known
+        # q, by which the estimate of this mesh is its number of nodes
         self.factor = 1.0
         self.factor = mesh.n_nodes / self(nodal_sizes(mesh, simplex_sizes(mesh)))
 

@@ -512,7 +512,7 @@ class AdaptiveLoop:
         if last.path is None or self.parts.adapt_on == "last":
             return last.estimate
         if self.steering is None:  # the step is from a store
-            self.steering = _path_estimate(last.hierarchy, self.parts, last.path, last.number)[2]
+            _, _, self.steering = _path_estimate(last.hierarchy, self.parts, last.path, last.number)
         return self.steering
 
     def _restored(self, number: int, step: Stored) -> Step:

@@ -267,8 +267,10 @@ class PathLoop:
     def _undeformed(
         self, k: int, grids: Grids, run: Run, motions: Mapping[str, np.ndarray]
     ) -> Result:
-        """Return the result of a step in which nothing acts: no method could estimate the relative
-        error of its iterates."""
+        """Return the result of step k, in which nothing acts: no method could estimate the relative
+        error of its iterates. ``motions`` are those of obstacles (3,) or (6,) and strains of preloads
+        (1,), by name."""
+        # a user-defined solver may have none, and "discretisation" is measured in cycles, of which there are none
         rtol = getattr(self.solver, "rtol", None)
         outcome = Outcome(
             solution=np.zeros(grids.finest.discrete.n_unknowns),

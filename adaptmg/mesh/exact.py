@@ -73,6 +73,7 @@ def _faces(domain: Domain) -> Iterator[tuple[str, Revolved]]:
     elif isinstance(domain, Ball):
         yield (
             "surface",
+            # a circle around the centre, turned about any axis through it
             Revolved(
                 np.array(domain.centre),
                 _AXIS,
@@ -85,7 +86,7 @@ def _faces(domain: Domain) -> Iterator[tuple[str, Revolved]]:
         yield from _extruded(domain.polygon)
         yield "bottom", plane_through((0.0, 0.0, domain.base), _AXIS)
         yield "top", plane_through((0.0, 0.0, domain.base + domain.height), _AXIS)
-    elif isinstance(domain, Revolution):
+    elif isinstance(domain, Revolution):  # all other domains are resolved in surfaces_of
         yield from _turned(domain)
 
 

@@ -611,7 +611,8 @@ def _solid_draft(
         # of a draft only its sizes matter: optimising takes most of the time
         fast = {"optsteps3d": 0} if rounds_left else {}
         unit = _checked_mesh(
-            shape, worker("mesh_shape", face_sizes, options | fast, at, seconds=limit_s(nodes, 3))
+            shape,
+            worker("mesh_shape", face_sizes, options | fast, at, seconds=limit_s(nodes, dim=3)),
         )
         if rounds_left:
             mesh = _placed(unit, shape)
@@ -691,11 +692,12 @@ def _bisected(
             return unit
         nodes = refuse_too_many(expected_nodes(mesh, at_centroids), domain)
         if shape.cracks:
-            # of which Netgen's mesh is not opened
+            # Netgen's mesh has closed cracks, and not all of the elements marked: this one is
+            # bisected here, and new nodes stay on chords
             unit = refined(unit, large, 1).mesh
             continue
-        # on the mesh with its geometry, so that new nodes go onto the surfaces
-        unit = _checked_mesh(shape, worker("bisect", large, seconds=limit_s(nodes, 3)))
+        # in Netgen, whose mesh has its geometry, so that new nodes go onto the surfaces
+        unit = _checked_mesh(shape, worker("bisect", large, seconds=limit_s(nodes, dim=3)))
     raise unreachable(domain, large)
 
 

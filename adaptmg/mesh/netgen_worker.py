@@ -342,11 +342,12 @@ def _name_products(
         # where OCC reads another name than the file has, it is the next instance in the file
         same_name = [instance for instance in instances if instance[0] == child.name]
         matching = same_name or instances[:1]
-        part_of_child = ""
+        part_of_child = ""  # in no instance of the file: a part without a name
         if matching:
             instances.remove(matching[0])
             _, part_of_child = matching[0]
         _name_products(child, part_of_child, names, uses, products)
+    # several solids of one product would all have its name
     if not node.is_assembly and node.shape is not None and len(node.shape.solids) == 1:
         # OCC calls an instance without a name after the place of its shape: =>[0:1:1:3]
         instance_name = "" if node.name.startswith("=>[") else node.name

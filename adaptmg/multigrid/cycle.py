@@ -75,7 +75,12 @@ class Correction(Protocol):
         limit: np.ndarray,
         initial: InitialContact | None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the coarse gap D, slip U and limit G."""
+        """Return the coarse gap D (n,), slip U (n, dim - 1) and limit G (n,) of the n coarse contact nodes.
+
+        Of the m fine contact nodes ``opening`` (m,), m, is g0 - w_n, ``slip`` (m, dim - 1), m, and
+        ``limit`` (m,), N, the sliding limit s + mu p; ``reach`` says which of them each coarse node
+        reaches. ``initial``: the first solution on the coarse level, if ``needs_initial``, else
+        None."""
         ...
 
 
@@ -84,7 +89,7 @@ class Recorder(Protocol):
     one."""
 
     def count(self, passes: float, nonzeros: int) -> None:
-        """Count matrix passes."""
+        """Count ``passes`` over a matrix with this number of stored entries."""
 
     def visit(self, level: int, action: str, times: int = 1) -> None:
         """Note an action on a level."""
@@ -124,7 +129,7 @@ def correction_contact(
     gap, slip, limit = transported(contact.gap - values[:, 0])
     lowest = None
     if contact.lowest is not None:
-        # U and G do not depend on the obstacle
+        # U and G do not depend on the obstacle; the opening of the one below counts downwards
         lowest = -transported(values[:, 0] - contact.lowest)[0]
     slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
     # G |U + E_t|: the slip of E counts from -U, with the limit frozen, so that friction is zero
@@ -461,7 +466,8 @@ VISITS = {"V": "V", "W": "WW", "F": "FV"}
 
 @dataclass(eq=False)
 class MultigridCycle:
-    """Cycles on the levels of a coarse correction; unknowns are changed in place."""
+    """Cycles on the levels of a coarse correction. Loads (n_dofs,) and unknowns (n_dofs,), which are
+    changed in place, are in the contact frames of their level."""
 
     levels: list[CorrectionLevel]  # coarsest first
     options: Cycle
@@ -710,8 +716,8 @@ def project(local: LocalProblem, unknowns: np.ndarray) -> None:
 def prolonged_start(
     nodal: sparse.csr_array, coarse: LocalProblem, unknowns: np.ndarray, fine: LocalProblem
 ) -> np.ndarray:
-    """Interpolate a coarse solution (primal values, all Cartesian components) to the next finer
-    level."""
+    """Interpolate local unknowns (n_dofs coarse,) to those of the next finer level (n_dofs fine,), by the
+    prolongation ``nodal`` of Cartesian components, and project them."""
     result = fine.to_local(nodal @ coarse.to_cartesian(unknowns))
     project(fine, result)
     return result

@@ -183,17 +183,17 @@ class LinearCycle:
         coarse_smoother: LinearSmoother | None = None,
         correct: Cycle | LinearCorrection | None = None,
     ) -> None:
-        """Prepare the solution of the coarse problems in one of three ways.
+        """Prepare the solution of the coarse problems in one of three ways; ``sweeps`` has a number for
+        each level.
 
         ``correct`` None
-            A V-cycle. ``sweeps`` has a number for each level, of sweeps before the coarse correction
-            and as many after it.
+            A V-cycle, with this number of sweeps before the coarse correction and as many after it.
         ``correct`` a :class:`~adaptmg.multigrid.cycle.Cycle`
-            A cycle of its shape, with its numbers of sweeps on all levels; ``sweeps`` is not used.
+            A cycle of its shape, with its own numbers of sweeps on all levels in place of ``sweeps``.
         ``correct`` a :class:`LinearCorrection`
-            It solves all coarse problems by itself. ``sweeps`` is not used;
-            :class:`~adaptmg.multigrid.truncated_parts.Truncated` refuses ``coarse_solve`` and
-            ``coarse_smoother``, which would have no effect.
+            It solves all coarse problems by itself: ``sweeps`` has no effect, nor would
+            ``coarse_solve`` and ``coarse_smoother``, which
+            :class:`~adaptmg.multigrid.truncated_parts.Truncated` refuses.
 
         In both kinds of cycles ``coarse_solve`` replaces the LU factors of the coarsest problem. On
         each level above it one call of ``coarse_smoother`` replaces all sweeps before the coarse

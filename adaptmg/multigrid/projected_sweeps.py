@@ -411,9 +411,9 @@ class Interface:
 
     def _set_rows(self, level: SplitMatrix, lower: sparse.csr_array) -> None:
         """Set the rows of the nodes in L + L', without the diagonal; ``lower`` has the numbers of the
-        blocks of L. Blocks of L' are those of L, transposed."""
+        blocks of L, from 1 on. Blocks of L' are those of L, transposed."""
         dim = self.dim
-        # the numbers of blocks of L' are negative
+        # the numbers of blocks of L' are negative: so 0 numbers none
         rows = sparse.csr_array(lower[self.nodes] - sparse.csr_array(lower[:, self.nodes].T))
         rows.sort_indices()
         self.indptr = rows.indptr.astype(np.int64)

@@ -90,7 +90,7 @@ class RigidMotions:
     problem: DiscreteProblem
     load: np.ndarray  # (n_dofs,): f
     at_contact: np.ndarray  # (n_contact, dim, m): their local values N_i, T_i at the contact nodes
-    # the last status, and the combinations of motions that are free in it
+    # the last status (closed and held nodes), and the combinations (m, j) of motions that are free in it
     _last_free: tuple[bytes, np.ndarray] = (b"", np.empty(0))
 
     #: steps at most

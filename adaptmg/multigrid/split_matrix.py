@@ -339,8 +339,8 @@ def _of_nested_elements(hierarchy: Grids, above: Level, below: Level) -> bool:
 def _nested(
     above: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array
 ) -> bool:
-    """Return whether ``coarse`` is the Galerkin matrix. The answer is stored in the level above, since
-    growing hierarchies ask each time."""
+    """Return whether ``coarse`` is the Galerkin matrix. The answer is stored in the level above, with both
+    matrices that it holds for, since growing hierarchies ask each time."""
     answer = above.__dict__.get("_galerkin_of")
     if answer is None or answer[0] is not matrix or answer[1] is not coarse:
         answer = matrix, coarse, is_galerkin(matrix, nodal, coarse)

@@ -259,7 +259,7 @@ def _automatic_factor(result: Result) -> float:
     """Return a round factor that draws the largest displacement as about 5 % of the size, and
     bodies hardly over each other; 1 if nothing moves."""
     mesh = need_mesh(result)
-    size = style.bounds(mesh.points)[2]
+    _, _, size = style.bounds(mesh.points)
     largest = float(np.linalg.norm(result.displacement, axis=1).max())
     if not largest > 1e-12 * size:
         return 1.0
@@ -275,8 +275,8 @@ def _automatic_factor(result: Result) -> float:
     for k in range(len(contact.names)):
         nodes = contact.node[contact.closed & (contact.boundary == k)]
         if len(nodes) > 1:
-            extent = style.bounds(mesh.points[nodes])[2]
-            spread = style.bounds(result.displacement[nodes])[2]
+            _, _, extent = style.bounds(mesh.points[nodes])
+            _, _, spread = style.bounds(result.displacement[nodes])
             factor = min(factor, _PATCH_SHARE * extent / max(spread, 1e-12 * size))
     power = 10.0 ** np.floor(np.log10(factor))
     return float(power * min((1, 2, 5, 10), key=lambda m: abs(np.log(m * power / factor))))
@@ -387,7 +387,8 @@ def draw_bodies(
     inks = to_rgba_array([] if marks is None else marks.colors)
     corners = np.concatenate([mesh.points[facets], points[facets]]).reshape(-1, mesh.dim)
     # points in the unit of the axes; those before the motion only where there is one
-    scale, unit = style.scaled(style.bounds(corners)[2], "m")
+    _, _, size = style.bounds(corners)
+    scale, unit = style.scaled(size, "m")
     points_before = None if moved is None else scale * mesh.points
     points_now = scale * points
     elements = np.flatnonzero(shown)
@@ -398,8 +399,8 @@ def draw_bodies(
     )
     if mesh.dim == 2:
         # small bodies over large ones
-        size = np.bincount(mesh.element_body, np.abs(mesh.volumes))
-        elements = elements[np.argsort(-size[mesh.element_body[elements]], kind="stable")]
+        volumes = np.bincount(mesh.element_body, np.abs(mesh.volumes))
+        elements = elements[np.argsort(-volumes[mesh.element_body[elements]], kind="stable")]
         _fill(ax, points_now, mesh, elements, colors, lines)
         if points_before is not None:
             _draw_edges(ax, points_before[facets], style.GREY, 0.8)

@@ -120,6 +120,7 @@ def contact(
 
 def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     """Draw pressure, friction, gap and slip along a plane contact boundary, on three axes."""
+    pressure_axes, friction_axes, gap_axes = axes
     c = result.contact
     lines = lines_of(result, name, near_contact=True)
     nodes = np.concatenate([line.index for line in lines])
@@ -141,7 +142,7 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
             style.shade(ax, s, c.state[at])
             style.stated_curve(ax, s, values[at], c.state[at])
         if friction:
-            axes[1].fill_between(
+            friction_axes.fill_between(
                 s,
                 -bound[at],
                 bound[at],
@@ -152,7 +153,7 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
                 zorder=1,
                 label="friction bound" if first else None,
             )
-        axes[2].plot(
+        gap_axes.plot(
             s,
             scale * c.slip[at, 0],
             color=style.cycled(2),
@@ -167,26 +168,26 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
         ax.axhline(0.0, color="#5b626b", linewidth=0.8, zorder=1)
         ax.margins(x=0.0)
         ax.set_ylabel(label)
-    axes[0].set_ylim(bottom=0.0)
-    keep_open(axes[0], share * c.pressure[nodes], largest)
-    keep_open(axes[1], np.concatenate([-bound[nodes], share * c.traction[nodes, 0]]), largest)
+    pressure_axes.set_ylim(bottom=0.0)
+    keep_open(pressure_axes, share * c.pressure[nodes], largest)
+    keep_open(friction_axes, np.concatenate([-bound[nodes], share * c.traction[nodes, 0]]), largest)
     if not friction:
-        axes[1].set_ylim(-1.0, 1.0)
-        axes[1].text(
+        friction_axes.set_ylim(-1.0, 1.0)
+        friction_axes.text(
             0.5,
             0.9,
             "frictionless",
-            transform=axes[1].transAxes,
+            transform=friction_axes.transAxes,
             ha="center",
             va="top",
             color="#5b626b",
         )
-    low, high = axes[2].get_ylim()
+    low, high = gap_axes.get_ylim()
     # closed and stuck everywhere: the axes do not magnify rounding
-    axes[2].set_ylim(min(low, -0.05e-6 * scale), max(high, 0.5e-6 * scale))
-    axes[2].set_xlabel(lines[0].label)
-    labelled = {ax: ax.get_legend_handles_labels()[0] for ax in axes[1:]}
-    style.legends_inside({axes[0]: style.state_lines(c.state[nodes])} | labelled)
+    gap_axes.set_ylim(min(low, -0.05e-6 * scale), max(high, 0.5e-6 * scale))
+    gap_axes.set_xlabel(lines[0].label)
+    labelled = {ax: ax.get_legend_handles_labels()[0] for ax in (friction_axes, gap_axes)}
+    style.legends_inside({pressure_axes: style.state_lines(c.state[nodes])} | labelled)
 
 
 def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
@@ -308,19 +309,22 @@ class Line:
 
 
 def lines_of(result: Result, boundary: str, near_contact: bool = False) -> list[Line]:
-    """Return the connected parts of a contact boundary; parts without contact nodes separate them.
-    With ``near_contact`` they are those around small patches."""
+    """Return the lines on which the contact nodes of a boundary in the plane follow each other; a node
+    of the boundary that is not a contact node ends a line. With ``near_contact`` each is cut to the
+    surroundings of the nodes that touch (:meth:`Line.around`)."""
     c = result.contact
     index = np.flatnonzero(c.boundary == c.names.index(boundary))
-    if not np.isfinite(c.x[index]).all():
+    if not np.isfinite(c.x[index]).all():  # a DiscreteProblem without coordinates
         return [Line(index, np.arange(len(index), dtype=float), "contact node")]
     extent = np.ptp(c.x[index], axis=0)
     scale, unit = style.scaled(float(extent.max()), "m")
     parts = (
+        # without a mesh no edges join the nodes: they are drawn against a coordinate
         [(index, c.x[index, extent.argmax()])]
         if result.mesh is None
         else _parts(result.mesh, c, boundary, index)
     )
+    # arc lengths of all parts count from the first node of the first part: so parts keep their distances
     nodes, arc = parts[0]
     begin = arc[0]
     x, y = scale * c.x[nodes[0], :2]
@@ -345,8 +349,8 @@ def _along_axis(result: Result, line: Line, axis: int, scale: float, unit: str) 
 def _parts(
     mesh: MeshArrays, contact: ContactResult, boundary: str, index: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the contact nodes of each connected part, in order, with the arc lengths there along
-    the whole boundary."""
+    """Return of each run of contact nodes (n,) its entries in the contact arrays, in order, and the arc
+    lengths there along the whole boundary, m; ``index`` are the entries of all of them."""
     points = mesh.points
     place = np.full(mesh.n_nodes, -1)
     place[contact.node[index]] = index

@@ -289,7 +289,8 @@ def _spread(mesh: MeshArrays, boundary: str, count: int) -> tuple[np.ndarray, np
 
 
 def _draw_obstacle(ax: Axes, contact: Contact, mesh: MeshArrays, extent: float) -> int:
-    """Hatch the obstacle in front of a boundary; return how many times the gap is enlarged."""
+    """Hatch the obstacle in front of a boundary of a plane body, of which the largest ``extent`` is given,
+    m; return how many times the gap is enlarged."""
     scale = _unit_scale(mesh)
     surface = mesh.surface(contact.boundary)
     points = mesh.points[surface.facets].reshape(-1, 2)
@@ -316,8 +317,9 @@ def _draw_obstacle(ax: Axes, contact: Contact, mesh: MeshArrays, extent: float) 
             zorder=1,
         )
     )
-    edges = list(scale * front)
-    ax.add_collection(LineCollection(edges, color=style.INK, linewidth=1.2, zorder=3.5))
+    ax.add_collection(
+        LineCollection(list(scale * front), color=style.INK, linewidth=1.2, zorder=3.5)
+    )
     return times
 
 

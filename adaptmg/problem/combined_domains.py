@@ -205,9 +205,9 @@ class _Piece:
 
     start: int
     end: int
-    name: str
-    centre: tuple[float, float] | None
-    middle: np.ndarray
+    name: str  # of the boundary
+    centre: tuple[float, float] | None  # of an arc, m; None: it is straight
+    middle: np.ndarray  # (2,): the point halfway along it, m
 
 
 def combined(what: str, a: Outline, b: Outline) -> Outline:
@@ -226,6 +226,7 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
     # both bodies lie on the same side of it; for a Cut, if they lie on opposite sides.
     pieces = []
     for piece in of_a:
+        # the middles tell arcs from their chords, and from arcs to the other side
         twins = [
             other
             for other in of_b

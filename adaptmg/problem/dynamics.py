@@ -24,6 +24,7 @@ def _by_body(check: Callable[[str, Any], Any], name: str, value: Any) -> Any:
 
 
 def _velocity(name: str, value: Any) -> Velocity:
+    """Return components of a velocity, or a function of positions, checked."""
     return checks.function_or(name, value, lambda *named: tuple(checks.vector(*named).tolist()))
 
 

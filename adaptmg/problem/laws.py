@@ -113,9 +113,9 @@ def _stiffness(young: Sequence[float], poisson: Sequence[float], shear: Sequence
     """Return the stiffness (6, 6) of an orthotropic material in the order of
     :class:`Anisotropy`; ``poisson`` and ``shear`` are of the pairs 12, 13, 23."""
     e = _three_moduli("young", young)
-    g = _three_moduli("shear", shear)
+    g_12, g_13, g_23 = _three_moduli("shear", shear)
     nu = checks.vector("poisson", poisson, 3)
-    compliance = np.diag(1 / np.array([*e, g[2], g[1], g[0]]))
+    compliance = np.diag(1 / np.array([*e, g_23, g_13, g_12]))
     for (i, j), ratio in zip(((0, 1), (0, 2), (1, 2)), nu, strict=True):
         compliance[i, j] = compliance[j, i] = -ratio / e[i]
     scale = np.sqrt(np.diag(compliance))  # moduli may differ by many orders

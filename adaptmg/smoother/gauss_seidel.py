@@ -53,7 +53,7 @@ class Smoother(Protocol):
         sweeps: int,
     ) -> float:
         """Improve ``unknowns`` in place by ``sweeps`` sweeps; return the passes over the matrix
-        that it took."""
+        that it took. Arguments are those of :meth:`ProjectedGaussSeidel.smooth`."""
         ...
 
 

@@ -143,14 +143,13 @@ def _two_obstacles(
         limit=np.zeros(2 * n),
         friction=np.zeros(2 * n),
     )
-    twice = np.concatenate([stiffness, stiffness])
     shift = np.broadcast_to(offset, stiffness.shape)
     shifts = np.concatenate([shift, -shift])
     both = interior_point(
         _TwoObstacles(unknowns),
         load,
         conditions,
-        stiffness=twice,
+        stiffness=np.concatenate([stiffness, stiffness]),
         tolerance=tolerance,
         offset=shifts,
         most=most,
@@ -159,7 +158,8 @@ def _two_obstacles(
 
 
 class _TwoObstacles:
-    """Unknowns whose nodes occur twice; see :class:`Span`."""
+    """Unknowns whose n nodes occur twice, with w and with -w; see :class:`Span`. The blocks of both
+    occurrences add up."""
 
     def __init__(self, unknowns: Span) -> None:
         self.unknowns = unknowns
@@ -296,8 +296,9 @@ class _Method:
         if solve is None or not self.total > 0:
             return False
         self.change[:] = 0.0
-        length = min(1.0, self._direction(solve, target=0.0, weight=0.0)[1])
-        predicted_total = _measure(self.state + length * self.change, *self.conditions)[0]
+        _, longest = self._direction(solve, target=0.0, weight=0.0)
+        length = min(1.0, longest)
+        predicted_total, _, _ = _measure(self.state + length * self.change, *self.conditions)
         centring = min(max(predicted_total / self.total, 0.0), 1.0) ** 3
         # products of changes go with the square of the step: of a short predictor they count in that
         # proportion, of one that goes at least half of its way in full

@@ -85,7 +85,20 @@ class LinearSolver(Protocol):
         preconditioner: sparse.bsr_array | None = None,
         previous: Prepared | None = None,
     ) -> Prepared:
-        """Prepare to solve with a matrix."""
+        """Prepare to solve with a matrix K (n_dofs, n_dofs).
+
+        Parameters
+        ----------
+        matrix : bsr_array
+        near_nullspace : (n_dofs, k) array, optional
+            Rigid-body modes, zero at fixed dofs.
+        symmetric : bool
+            Whether K is symmetric: not with the slip rows of Coulomb's law.
+        preconditioner : bsr_array, optional
+            A symmetric matrix near K, if K is not symmetric.
+        previous : object, optional
+            What was prepared for the matrix before, which has the same pattern.
+        """
         ...
 
 
@@ -124,13 +137,12 @@ class Direct:
             factors = OrderedFactors.of(sparse.csr_array(matrix), order, 0.0 if symmetric else 1e-3)
         except RuntimeError as error:
             raise np.linalg.LinAlgError(_singular(matrix)) from error
-        result = Factorised(matrix, factors)
         # the solution of forces of the size of the diagonal: about 1, huge if the matrix is singular
         probe = np.random.default_rng(0).standard_normal(matrix.shape[0])
         growth = np.abs(factors.solve(matrix.diagonal() * probe)).max()
         if not growth < self.SINGULAR:
             raise np.linalg.LinAlgError(_singular(matrix))
-        return result
+        return Factorised(matrix, factors)
 
 
 def _singular(matrix: sparse.bsr_array) -> str:

@@ -367,7 +367,8 @@ def local_contact(problem: DiscreteProblem) -> tuple[NodalContact, np.ndarray]:
 
 def held_tangents(problem: DiscreteProblem) -> np.ndarray:
     """Return the tangents at contact nodes that a support holds (n_contact, dim - 1) bool."""
-    return frames_and_fixed(problem)[1].reshape(-1, problem.dim)[problem.contact.nodes, 1:]
+    _, fixed = frames_and_fixed(problem)
+    return fixed.reshape(-1, problem.dim)[problem.contact.nodes, 1:]
 
 
 @remembered_of_structure
@@ -380,8 +381,7 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     # of rows and columns of held tangents only the diagonal entries stay
     free = np.ones((len(blocks), problem.dim), dtype=bool)
     free[:, 1:] = ~held_tangents(problem)
-    stays = (free[:, :, None] & free[:, None, :]) | np.eye(problem.dim, dtype=bool)
-    blocks *= stays
+    blocks *= (free[:, :, None] & free[:, None, :]) | np.eye(problem.dim, dtype=bool)
     turn_held(blocks, np.arange(len(blocks)), contact)
     return blocks
 

@@ -495,6 +495,7 @@ class SparseSteps:
 
     @property
     def stiffness(self) -> np.ndarray:
+        """Return the diagonal (n_contact, dim) of the matrix at the contact nodes, N/m."""
         system = self.local.system
         return self._matrix.diagonal().reshape(-1, system.dim)[system.nodes]
 
@@ -504,9 +505,11 @@ class SparseSteps:
         return residual, self.values(residual)
 
     def interior_problem(self) -> tuple[Span, np.ndarray]:
+        """Return the unknowns of the interior point method, all dofs, and their load (n_dofs,)."""
         return self, self.local.load
 
     def from_interior(self, interior: Interior) -> np.ndarray:
+        """Return the unknowns (n_dofs,) of a solution of the interior point method."""
         return interior.unknowns
 
     def solve(self, equations: Linearised, residual: np.ndarray) -> np.ndarray:
@@ -541,6 +544,7 @@ class SparseSteps:
         return self._matrix @ unknowns
 
     def values(self, unknowns: np.ndarray) -> np.ndarray:
+        """Return the entries (n_contact, dim) of a vector (n_dofs,) at the contact nodes."""
         return unknowns[self._contact_dofs].reshape(-1, self.local.system.dim)
 
     def restricted(self, forces: np.ndarray) -> np.ndarray:

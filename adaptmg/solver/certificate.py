@@ -456,6 +456,7 @@ class Evidence:
         return np.where(self.problem.contact.exponent > 1, share * self.gap, self.gap)
 
     def _forces(self, name: str, forces: np.ndarray) -> Condition:
+        """Return the line of forces that should vanish, N, by their norm over the scale of forces."""
         total = float(np.linalg.norm(forces))
         return Condition(
             name,
@@ -467,6 +468,8 @@ class Evidence:
         )
 
     def _lengths(self, name: str, lengths: np.ndarray) -> Condition:
+        """Return the line of lengths that should vanish, m, by the largest over the scale of lengths;
+        displacements are rounded in their last digits."""
         largest = float(np.abs(lengths).max(initial=0.0))
         return Condition(
             name,
@@ -478,6 +481,8 @@ class Evidence:
         )
 
     def _works(self, name: str, works: np.ndarray, scale: float) -> Condition:
+        """Return the line of works (n_contact,) that should vanish, N m, by their sum over a ``scale`` of
+        forces, N, times that of lengths."""
         total = float(works.sum())
         # a work is a force times a length: the rounding of both
         rounding = ratio(self.rounding, self.force) + 16 * _EPSILON

@@ -308,7 +308,6 @@ class FreeBodies:
         springs = [
             support for support in problem.supports if isinstance(support, Spring | PointSpring)
         ]
-        covered = problem.elements == "linear"
         middle = mesh.box.mean(axis=0)
         points = mesh.points - middle
         return cls(
@@ -320,7 +319,7 @@ class FreeBodies:
             masters=masters,
             compared=compared,
             axisymmetric=problem.axisymmetric,
-            near=_near(problem, mesh, discrete) if covered else None,
+            near=_near(problem, mesh, discrete) if problem.elements == "linear" else None,
             known=(
                 *_stiffness(problem, mesh, discrete, points),
                 *_loads(problem, mesh, discrete, body, points),
@@ -450,13 +449,14 @@ def _free_bodies(discrete: DiscreteProblem, posed: Posed) -> FreeBodies:
     return FreeBodies.of(posed.problem, posed.mesh, discrete)
 
 
-def _shift(posed: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarray | None:
-    """Return the vector (dim,), m, from a plane slave surface to its master, of periodic sides
-    between their middles; None where nodes of either meet off the normal."""
+def _shift(condition: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarray | None:
+    """Return the vector (dim,), m, from a plane slave surface to its master in a contact or tie
+    ``condition``, of periodic sides between their middles; None where nodes of either meet off the
+    normal."""
     slave_points, master_points = (
         mesh.points[mesh.boundary_nodes(name)] for name in (slave, master)
     )
-    if isinstance(posed, Periodic):
+    if isinstance(condition, Periodic):
         return 0.5 * (
             master_points.max(axis=0)
             + master_points.min(axis=0)
@@ -465,7 +465,7 @@ def _shift(posed: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarr
         )
     normal = mesh.surface(slave).normals[0]
     heights = max(np.ptp(side @ normal) for side in (slave_points, master_points))
-    by_node = isinstance(posed, ContactPair) and posed.coupling == "nodes"
+    by_node = isinstance(condition, ContactPair) and condition.coupling == "nodes"
     if by_node or heights > checks.ALIKE * mesh.sides.max():
         return None
     return ((master_points[0] - slave_points[0]) @ normal) * normal

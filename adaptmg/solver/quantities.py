@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from adaptmg import _checks as checks
 from adaptmg._units import in_units
 from adaptmg.discrete.loads import moment
-from adaptmg.discrete.moduli import as_tensors
+from adaptmg.discrete.moduli import PAIRS, as_tensors
 from adaptmg.discrete.stress import PlasticState, StressData, von_mises
 from adaptmg.discrete.stress import recovered as fitted
 from adaptmg.discrete.stress_intensity import StressIntensity, stress_intensity
@@ -265,6 +265,7 @@ class Quantities:
         closed = mask_of(contact.node[chosen & contact.closed], mesh.n_nodes)
         points = [mesh.points[closed]]
         for number in np.unique(contact.boundary[chosen]):
+            # the obstacle of a scalar problem lies behind all elements
             facets = mesh.elements if self.dim == 1 else mesh.boundary_facets(contact.names[number])
             # contact ends halfway on edges of which one end is closed
             for a, b in combinations(facets.T, 2):
@@ -330,8 +331,9 @@ class Quantities:
         return self.stress_data
 
     def _values(self, tensors: np.ndarray, at: str | ArrayLike, recovered: bool) -> np.ndarray:
-        """Return tensors (n_elements, 3, 3) as columns where they are asked for."""
-        values = tensors[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+        """Return tensors (n_elements, 3, 3) as the columns (n, 6) of ``COMPONENTS`` where they are asked
+        for: ``at`` and ``recovered`` as of :meth:`stress`."""
+        values = tensors[:, PAIRS[:, 0], PAIRS[:, 1]]
         location = None if isinstance(at, str) else self._located(at)
         if location is None:
             checks.choice("at", at, ("elements", "nodes"))

@@ -62,8 +62,8 @@ def check_statics(problem: DiscreteProblem) -> None:
 
 @remembered_of_structure
 def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, bool]] | None:
-    """Return (nodes, free motions, whether there are several parts) of each connected part with free
-    motions; None if the rigid motions are unknown."""
+    """Return (nodes (n,), free motions (n * dim, k), whether there are several parts) of each connected
+    part with free motions; None if the rigid motions are unknown."""
     if problem.near_nullspace is None:
         return None
     n_bodies, body_of = connected_components(node_graph(problem.matrix), connection="weak")
@@ -132,8 +132,8 @@ class _Body:
     """A part of a problem that its elements connect."""
 
     problem: DiscreteProblem
-    nodes: np.ndarray
-    motions: np.ndarray  # (n_nodes * dim, k): free rigid motions, with amplitudes about 1
+    nodes: np.ndarray  # (n,) int, ascending
+    motions: np.ndarray  # (n * dim, k): free rigid motions, with amplitudes about 1
     several: bool  # whether the problem has other parts
 
     @property
@@ -208,8 +208,8 @@ class _Body:
 
 
 def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Return rigid motions (n_nodes * dim, k) of a part that vanish at its fixed dofs and cause no
-    force."""
+    """Return rigid motions (n * dim, k) of a part with the nodes (n,) that vanish at its fixed dofs and
+    cause no force; ``stiff`` (n_dofs, m) is the matrix times all rigid motions."""
     dofs = dofs_of(nodes, problem.dim)
     modes = problem.near_nullspace[dofs]
     forces = stiff[dofs] / np.abs(problem.matrix.data).max()
@@ -565,7 +565,8 @@ def warn_of_several_solutions(grids: Grids) -> None:
     that is not cheap, or contact holds bodies, it is compared with a larger bound: the coefficient
     on the finest grid with all other nodes held."""
     finest = grids.finest.discrete
-    if not finest.law.bounds(len(finest.contact))[1].any():
+    _, friction = finest.law.bounds(len(finest.contact))
+    if not friction.any():
         return
     examined = grids[0].discrete_or_none
     critical = np.array([np.nan])

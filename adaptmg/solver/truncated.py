@@ -72,12 +72,12 @@ class TruncatedTest(StopTest):
     #: largest error of these problems is 6.6e-3, with half 3.8e-3 in 33 cycles, with twice 6.6e-3 in 28
     LARGEST_RTOL = 1e-2
 
-    def __init__(
-        self, cycles: TruncatedCycles | Any, rtol: float | str, limit: float, run: Run
-    ) -> None:
-        """Begin a test of cycles, which asks the certificate of their run."""
+    def __init__(self, method: TruncatedCycles, rtol: float | str, limit: float, run: Run) -> None:
+        """Begin a test of the states of a method, at most ``limit`` cycles. An ``rtol`` of
+        "discretisation" is known after the first cycle (:meth:`set_discretisation_tolerance`); until
+        then it is 0, which no estimate meets."""
         super().__init__(0.0 if isinstance(rtol, str) else rtol, limit, run.shortfall)
-        self.cycles_of = cycles  # Any: nothing is asked of it before the first state
+        self.method = method
         self.residuals: list[float] = []
         self._first_residual = np.nan
 
@@ -100,7 +100,7 @@ class TruncatedTest(StopTest):
 
     def at_rest(self) -> bool:
         """Return whether the last residual is as small as arithmetic allows."""
-        return self.residual_is_rounding(self.cycles_of.rounding(self.state))
+        return self.residual_is_rounding(self.method.rounding(self.state))
 
     @property
     def residual_met(self) -> bool:
@@ -116,7 +116,7 @@ class TruncatedTest(StopTest):
         """Return whether, as fast as the last cycles went, the tolerance is not reached in the
         cycles that are left. (The last ratio alone says nothing: recombined corrections fall
         unevenly.)"""
-        problem = self.cycles_of.problem
+        problem = self.method.problem
         price = self.PRICE * problem.n_dofs ** (2 - 3 / max(problem.dim, 2))
         least = max(2 * self.WINDOW, min(price, 0.5 * self.limit))
         if self.cycles < least or not (self.rtol > 0 and self.size > 0):
@@ -134,9 +134,9 @@ class TruncatedTest(StopTest):
         if self.at_rest():
             return 0.0
         # mostly the certificate accepts, and no further cycle needs what is set aside
-        self.state = self.cycles_of.set_aside(self.state)
-        solution = self.cycles_of.problem.with_prescribed(self.state.iterate)
-        return self.cycles_of.run.shortfall(solution, self.rtol)
+        self.state = self.method.set_aside(self.state)
+        solution = self.method.problem.with_prescribed(self.state.iterate)
+        return self.method.run.shortfall(solution, self.rtol)
 
     def _estimate(self) -> float:
         """Return the relative error after the last smoothing, from the energy of the last coarse
@@ -339,7 +339,7 @@ class TruncatedRun:
                 step.pose(self.problems[number])
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
-        """Solve from a solution (n_unknowns,), or from zero."""
+        """Solve from a solution (n_unknowns,), or from zero (None)."""
         problem = self.problems[-1]
         return self.finish(
             np.zeros(problem.n_unknowns) if start is None else problem.from_prescribed(start),
@@ -524,12 +524,14 @@ class TruncatedRun:
     def _start_cycles(
         self, start: NestedStart, number: int, solutions: list[np.ndarray]
     ) -> list[np.ndarray]:
-        """Return the solutions of the levels, the last of them after the cycles of the nested start."""
+        """Return the solutions (n_unknowns,) of the levels up to ``number``, that of ``number`` after the
+        cycles of the nested start, or unchanged if these diverge."""
         parts = self.steps_on(number)
         problem = self.problems[number]
         *below, given = solutions
         state = parts.begin(problem.from_prescribed(given))
         state = self._few_cycles(parts, problem, state, start.cycles)
+        # the cycles of finer levels go through the same coarse matrices, which these have truncated
         parts.restore()
         if state is None:
             _LOG.info("level %d: the cycles of the nested start diverge", number)

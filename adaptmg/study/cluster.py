@@ -457,7 +457,8 @@ class _Runs:
         self._back.put((name, result))
 
     def _note_begin(self, event: tuple[float, dict[str, str]]) -> None:
-        """Note the worker of a run, and when it began: dask may start it again on another worker."""
+        """Note the worker of a run, and when it began: dask may start it again on another worker. An
+        ``event`` is the time at the scheduler, and the message of :func:`_on_worker`."""
         if (run := self._out.get(event[1]["run"])) is not None:
             run.worker = event[1]["worker"]
             run.began = time.monotonic()
@@ -491,6 +492,7 @@ class _Runs:
         self._stop(self._out.values(), busy)
 
     def _stop(self, runs: Iterable[_Run], workers: list[str]) -> None:
+        """Cancel runs, and kill the processes of workers, by their addresses; nannies start others."""
         self._client.cancel([run.future for run in runs], force=True)
         if workers:
             self._client.run(_kill_worker, nanny=True, workers=workers, on_error="ignore")

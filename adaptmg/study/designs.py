@@ -104,6 +104,7 @@ def as_design(design: DesignLike) -> Design:
 
 
 def _check_length(length: int) -> int:
+    """Return a number of points; ValueError above ``MOST``."""
     if length > MOST:
         raise ValueError(
             f"the design has {length} points, at most {MOST} are run in one study: take fewer values, "
@@ -113,6 +114,7 @@ def _check_length(length: int) -> int:
 
 
 def _mapping(name: str, mapping: object, words: str) -> Mapping[str, object]:
+    """Return a mapping of names of parameters, which is not empty, to what ``words`` call its values."""
     if not isinstance(mapping, Mapping) or not mapping:
         raise TypeError(
             f"{name} must be a mapping of names to {words}, got {checks.shown(mapping)}"

@@ -111,6 +111,7 @@ def pack(value: object) -> Packed | None:
 
 
 def _loaded(module: str, name: str) -> tuple[type, ...]:
+    """Return the class of this name, alone in a tuple; () if its module is not loaded."""
     kind = getattr(sys.modules.get(module), name, None)
     return () if kind is None else (kind,)
 
@@ -250,6 +251,7 @@ class Store:
             ) from error
 
     def _identity(self) -> tuple[int, int] | None:
+        """Return the device and the number of the file; None in memory, or where the file is gone."""
         try:
             status = None if self.path is None else self.path.stat()
         except OSError:
@@ -340,7 +342,8 @@ class Store:
     def _may_live(self, run: tuple[str, str], owner: str, renewals: int) -> bool:
         """Return whether the process of a claim may still compute: not if it has ended, nor if it
         has not renewed the claim for a while by the clock of this process."""
-        if has_ended(owner.partition(" ")[0]):
+        process, _, _ = owner.partition(" ")  # as new_owner joins them
+        if has_ended(process):
             return False
         if run not in self._seen or self._seen[run][0] != (owner, renewals):
             self._seen[run] = (owner, renewals), time.monotonic()
@@ -373,7 +376,8 @@ class Store:
                 self.release(owner)
 
     def release(self, owner: str, key: str = "%") -> None:
-        """Give up the claims of an owner, or that on one run."""
+        """Give up the claims of an owner: on all runs ("%", which is the text of no run), or on the one
+        with the canonical parameters ``key``."""
         with self._explained(), self._transaction() as connection:
             connection.execute(
                 "DELETE FROM claims WHERE owner = ? AND ? IN (parameters, '%')", (owner, key)
@@ -435,11 +439,12 @@ class Store:
 
 
 def new_owner() -> str:
-    """Return the name of this process, and of one study in it, for claims."""
+    """Return the name of this process and, after a space, that of one study in it, for claims."""
     return f"{process_name(os.getpid())} {uuid.uuid4().hex}"
 
 
 def _hash(*parts: str | bytes) -> bytes:
+    """Return the hash of texts and bytes, each after its length, so that it counts where they end."""
     content = hashlib.sha256()
     for part in parts:
         part = part if isinstance(part, bytes) else part.encode()
