@@ -415,8 +415,8 @@ class DiscreteProblem(Unknowns):
         """Raise ValueError if a component with a part along the normal of a contact node is
         fixed."""
         fixed = self.fixed.reshape(-1, self.dim)[self.contact.nodes]
-        # a fixed Cartesian component must lie in the tangent plane, or the contact condition would
-        # be prescribed too
+        # a fixed Cartesian component must lie in the tangent plane, but for the rounding of normals,
+        # or the contact condition would be prescribed too
         clash = (fixed & (np.abs(self.contact.normals) > 1e-8)).any(axis=1)
         if clash.any():
             i = int(np.argmax(clash))

@@ -68,6 +68,7 @@ _UNITS = {
 
 
 def _text(name: str, value: str, empty: bool = True) -> str:
+    """Return a text, checked; ValueError if it is blank, unless it may be ``empty``."""
     if not checks.instance(name, value, str, "a string").strip() and not empty:
         raise ValueError(f"{name} must not be empty")
     return value

@@ -120,6 +120,7 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
 
 
 def _draw_mesh(ax: Axes, drawn: MeshArrays, contact: Sequence[str]) -> None:
+    """Draw the bodies in a colour each, their boundaries ``contact`` in orange."""
     draw_bodies(
         ax,
         drawn,
@@ -248,6 +249,7 @@ def deformation(
 
 
 def _names(mesh: MeshArrays, bodies: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the names of the bodies to be drawn: those given, checked; None: all."""
     given = (bodies,) if isinstance(bodies, str) else bodies
     names = mesh.bodies if given is None else checks.strings("bodies", given)
     if not names:

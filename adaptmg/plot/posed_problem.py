@@ -543,6 +543,7 @@ def _volume_text(load: loads.BodyForce | loads.InitialStrain | loads.Preload, ax
 
 
 def _force_text(load: loads.PointForce, posed: ContactProblem) -> str:
+    """Return a point force as text; of plane models per thickness."""
     return "force " + _vector_text(
         load.components, "N/m" if posed.dim == 2 and not posed.axisymmetric else "N"
     )

@@ -487,6 +487,7 @@ class NodalStateLaw(NodalLaw):
     laws: tuple[tuple[FollowsState, np.ndarray], ...]
 
     def at_state(self, pressure: np.ndarray, slip: np.ndarray) -> np.ndarray:
+        """Return the coefficients (n_contact,): at the nodes of these laws those at the state."""
         friction = self.friction.copy()
         for law, numbers in self.laws:
             friction[numbers] = law.at_state(pressure[numbers], slip[numbers])
@@ -702,6 +703,7 @@ class StateLaw(checks.Checked):
 
 
 def _exponent(name: str, value: object) -> float:
+    """Return the exponent of the pressure in a layer, checked."""
     exponent = checks.quantity(name, value)
     if not exponent >= 1:
         raise ValueError(

@@ -133,6 +133,7 @@ class Direct:
         else:
             size = matrix.blocksize[0]
             order = dofs_of(nested_dissection(node_graph(matrix)), size)
+        # without symmetry also pivots off the diagonal, where its entry is a thousandth of its column
         try:
             factors = OrderedFactors.of(sparse.csr_array(matrix), order, 0.0 if symmetric else 1e-3)
         except RuntimeError as error:
@@ -308,7 +309,7 @@ class Preconditioned:
             idle = not len(norms) > 1
             if accurate or idle or iterations >= self.options.MAX_ITERATIONS:
                 break
-            # as much smaller as the error is too large, with a margin of a half
+            # as much smaller as the error is too large, with a margin of a half, at most by a hundred
             tolerance *= max(0.5 * rtol * solution_energy / error, 1e-2)
         # a tenth more: the iteration ends by the residual that it updates, from which rounding moves
         # this one away. Of 168 solves of 375 to 2187 unknowns to 1e-7 ... 2e-12 four end between 1 and

@@ -92,7 +92,8 @@ class Layer:
         # 72 solves of the GRECO bar, a Hertzian cylinder and a block in 3D, exponents 2 to 8: 812 cycles; 821 at .3
         # times the stiffness, 812 at 3 times, 1211 without; tangents that leave a tenth or nine tenths 812 and 813,
         # secants alone 1099
-        soft = (self.tangent(force)[1] * self.stiffness > 1) & (depth > 0)
+        _, compliance = self.tangent(force)
+        soft = (compliance * self.stiffness > 1) & (depth > 0)
         with np.errstate(over="ignore"):
             # the force (depth / e)^m that compresses the surface to its depth
             over_scale = np.divide(depth, self.compliance, out=np.zeros_like(depth), where=soft)

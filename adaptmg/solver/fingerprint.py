@@ -586,6 +586,7 @@ def _version(package: str) -> str | None:
 
 
 def _content(path: Path) -> str:
+    """Return a hash of the content of a file; ValueError if the path is none."""
     if not path.is_file():
         raise ValueError(f"{path} must be a file")
     with path.open("rb") as file:

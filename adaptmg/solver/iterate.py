@@ -384,6 +384,7 @@ class ChangeTest(StopTest):
         return Status.CONVERGED if self.residual_met else Status.STALLED
 
     def _record(self, state: Measured, run: Run) -> None:
+        """Judge a state, and add a row with its norms to the history of the run."""
         self.judge(state)
         run.record(
             cycle=self.cycles,

@@ -70,6 +70,7 @@ class Quantities:
         )
         array = checks.array("points", [points] if is_point else points, (None, mesh.dim))
         location = PointLocator(mesh).locate(array)
+        # points on the boundary may lie outside by rounding
         outside = location.distance > 1e-6 * mesh.element_sizes[location.element]
         if outside.any():
             i = int(np.argmax(outside))
@@ -199,6 +200,7 @@ class Quantities:
         return self._plastic().accumulated
 
     def _plastic(self) -> PlasticState:
+        """Return the state of the plastic bodies; ValueError if there are none."""
         plastic = self._data().plastic
         if plastic is None:
             raise ValueError("this result has no plastic bodies: give one am.Plastic(...)")

@@ -169,6 +169,7 @@ class _Body:
         relative = np.zeros((problem.n_nodes, problem.dim))
         relative[self.nodes] = (self.motions @ coefficients).reshape(len(self.nodes), -1)
         field = problem.physical(relative)
+        # a piece that moves by less than a millionth of the largest motion is at rest
         moving = [
             (whose, nodes)
             for whose, nodes in self.pieces
@@ -547,7 +548,7 @@ def critical_friction(problem: DiscreteProblem) -> np.ndarray:
     n = len(problem.contact)
     condensed = condense_problem(problem, lenient=True)
     eigenvalues, eigenvectors = np.linalg.eigh(condensed.matrix)
-    # a motion that only contact holds has no compliance
+    # a motion that only contact holds has no compliance: its stiffness is zero but for rounding
     if not condensed.regular or not eigenvalues[0] > 1e-10 * eigenvalues[-1]:
         return np.full(n, np.nan)
     # C of each node alone, and K = 1/C below

@@ -362,6 +362,7 @@ class StepStore:
         return step
 
     def _numbers(self) -> list[int]:
+        """Return the numbers of the stored steps, ascending."""
         return sorted(
             int(match[1])
             for name in os.listdir(self.folder)

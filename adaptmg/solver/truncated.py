@@ -157,8 +157,9 @@ class TruncatedTest(StopTest):
         return self.SAFETY * self.changes[-1] * rate / self.size  # rho eta_k
 
     def _ran_away(self) -> bool:
-        """Return whether the residual, in N, is a million times the first one. The relative residual
-        stays small where reactions grow with it."""
+        """Return whether the residual, in N, is a million times the first one (at least 1e-300 N, so
+        that rounding after a first one of zero runs away). The relative residual stays small where
+        reactions grow with it."""
         return self._last_residual > 1e6 * max(self._first_residual, 1e-300)
 
 

@@ -205,6 +205,8 @@ def _processes(
 
 
 def _kill_children(process: int) -> None:
+    """End the processes that a process has started, and those that these have; it, or they, may have
+    ended already."""
     with contextlib.suppress(psutil.Error):
         for child in psutil.Process(process).children(recursive=True):
             with contextlib.suppress(psutil.Error):

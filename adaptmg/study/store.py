@@ -199,6 +199,7 @@ class Store:
         self._opened = self._identity()
 
     def _prepare(self) -> None:
+        """Set up the connection, and make the tables in an empty file."""
         self._connection.execute("PRAGMA synchronous = FULL")
         if not self._is_store():
             with self._transaction() as connection:

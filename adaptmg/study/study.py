@@ -289,7 +289,7 @@ class Study:
                 raise KeyboardInterrupt(
                     f"study {self.name}: {n_stored} of {len(rows)} runs are stored; run() computes the rest"
                 ) from None
-        table = self._table(code, False)
+        table = self._table(code)
         done = table[table.attrs["columns"]["status"]] == "done"
         if isinstance(cost, str) and done.any() and cost not in table:
             raise ValueError(
@@ -496,7 +496,8 @@ class Study:
             for point, record in records
         ]
 
-    def _table(self, code: Fingerprint, details: bool) -> pd.DataFrame:
+    def _table(self, code: Fingerprint, details: bool = False) -> pd.DataFrame:
+        """Return the table of all runs by this code; see :func:`frame`."""
         table = frame(self.design.names, self._rows(code), details)
         table.attrs |= {"study": self.name, "fixed": dict(self.fixed)}
         return table
