@@ -591,16 +591,13 @@ class _LevelSmoother:
         return checks.nonnegative("coarse_smoother: the passes that smooth returns", passes)
 
 
-def least_weights(residual: np.ndarray, changes: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the alpha (k,) that minimise the norm of ``residual`` (n,) + alpha ``changes`` (k, n), squares
-    weighted with ``weights`` (n,)."""
-    # (C W C') alpha = -C W r, scaled to a diagonal of 1, which is raised by rounding: changes may be
-    # dependent
-    weighted = changes * weights
-    products = weighted @ changes.T
+def least_weights(products: np.ndarray, loads: np.ndarray) -> np.ndarray:
+    """Return the alpha (k,) that minimise the norm of r + alpha C, squares weighted with W, from
+    C W C' (k, k), which is overwritten, and -C W r (k,)."""
+    # scaled to a diagonal of 1, which is raised by rounding: changes C may be dependent
     scale = np.sqrt(products.diagonal())
     scale[scale == 0.0] = 1.0
     products /= scale[:, None] * scale
     products.flat[:: len(scale) + 1] += checks.ROUNDING
     # LAPACK itself: numpy's least squares take ten times as long as all products of a small problem
-    return linalg.lapack.dposv(products, -(weighted @ residual) / scale)[1] / scale
+    return linalg.lapack.dposv(products, loads / scale)[1] / scale

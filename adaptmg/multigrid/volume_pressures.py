@@ -172,7 +172,9 @@ class Augmented:
         if len(values) == 1:
             return pressures
         energies = self._volumes.areas / self._volumes.modulus  # of squares of pressures
-        alphas = least_weights(changes[0], changes[1:] - changes[0], energies)
+        differences = changes[1:] - changes[0]
+        weighted = differences * energies
+        alphas = least_weights(weighted @ differences.T, -(weighted @ changes[0]))
         return pressures + alphas @ (values[1:] - pressures)
 
     def missed(self, solved: np.ndarray) -> float:

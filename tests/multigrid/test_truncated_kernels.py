@@ -250,10 +250,11 @@ def test_weights_of_past_iterates_are_those_of_least_squares():
     for k in range(1, 5):
         changes, now = rng.normal(size=(k, 40)) * 1e-3 ** np.arange(k)[:, None], rng.normal(size=40)
         expected = np.linalg.lstsq((np.sqrt(d) * changes).T, -np.sqrt(d) * now)[0]
-        alpha = least_weights(now, changes, d)
+        alpha = least_weights(changes * d @ changes.T, -(changes * d) @ now)
         np.testing.assert_allclose(alpha, expected, rtol=1e-9)
         # what depends on the others, whatever its size, changes nothing
-        again = least_weights(now, np.stack([*changes, 1e-9 * changes[0]]), d)
+        more = np.stack([*changes, 1e-9 * changes[0]])
+        again = least_weights(more * d @ more.T, -(more * d) @ now)
         np.testing.assert_allclose(
             again[:k] @ changes + 1e-9 * again[k] * changes[0], alpha @ changes, rtol=1e-6
         )
