@@ -107,8 +107,8 @@ _TRIES = 12
 #: the part of ``max_nodes``, or of what is left of it, that is aimed at: to .9 and .975 the last meshes of 20 loops
 #: to 700 nodes have 2 and 6 % fewer and 1 % more nodes, the error at equal nodes is the same to 1.5 %
 _AIM = 0.95
-#: nodes that halving a marked element adds, by dimension: 1.9 to 2.4 if all marked elements of the last mesh are
-#: halved, in four loops to 700 nodes in the plane, 2.6 in one in space, but 4 on a bolted junction
+#: nodes that halving a marked element adds, by dimension: measured 1.9 to 2.4 if all marked elements of the last mesh
+#: are halved, in four loops to 700 nodes in the plane, 2.6 in one in space, but 4 on a bolted junction
 _ADDED = {2: 2.0, 3: 2.6}
 #: added nodes grow like this power of the number of halved elements, as closures cost a smaller set more: from half of
 #: those marked to all of them .72 to .83, .64 in space and .33 on the bolted junction

@@ -33,7 +33,7 @@ BEGUN = """
 import os, sys, time
 from pathlib import Path
 import adaptmg._machine as machine
-machine.has_idle_processor = lambda: {idle}
+machine.has_idle_processor = lambda: True
 import adaptmg as am, psutil
 sys.path.append(Path("x"))  # Python ignores it
 am.Hierarchy.uniform(am.cases.greco_bar(), (2,))
@@ -41,6 +41,16 @@ for child in psutil.Process().children():
     print(child.pid, flush=True)
     while not list(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("energy_error.*.nbi")):
         time.sleep(0.1)
+"""
+#: prints how many threads wait for another process
+COUNTED = """
+import threading
+import adaptmg._machine as machine
+machine.has_idle_processor = lambda: {idle}
+from adaptmg._numba import _compile_ahead
+before = threading.active_count()
+_compile_ahead()
+print(threading.active_count() - before)
 """
 
 #: starts the other process, ends it, and prints whether the system still lists it
@@ -86,19 +96,19 @@ def test_a_second_process_that_has_ended_leaves_no_zombie(tmp_path: Path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("threads", "idle"), [("2", True), ("1", True), ("2", False)], ids=["starts", "one", "busy"]
-)
-def test_a_second_process_compiles_where_a_processor_is_idle_and_ends_with_the_first(
-    tmp_path: Path, threads, idle
-):
-    environment = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_NUM_THREADS": threads}
+def test_a_second_process_compiles_what_a_first_solve_needs_and_ends_with_the_first(tmp_path: Path):
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_NUM_THREADS": "2"}
     # neither process may import a file of the working directory
     Path(tmp_path, "numba.py").write_text("raise ImportError", encoding="utf-8")
-    children = run(BEGUN.format(idle=idle), tmp_path, **environment)
-    assert len(children) == (threads == "2" and idle)
-    for child in children:
-        end = time.monotonic() + 60.0
-        while Path("/proc", child).exists():
-            assert time.monotonic() < end
-            time.sleep(0.1)
+    (child,) = run(BEGUN, tmp_path, **environment)
+    end = time.monotonic() + 60.0
+    while Path("/proc", child).exists():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize(
+    ("threads", "idle", "started"), [("2", True, "1"), ("1", True, "0"), ("2", False, "0")]
+)
+def test_a_second_process_needs_an_idle_processor(tmp_path: Path, threads, idle, started):
+    assert run(COUNTED.format(idle=idle), tmp_path, NUMBA_NUM_THREADS=threads) == [started]

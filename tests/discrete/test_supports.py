@@ -355,9 +355,15 @@ def test_supports_along_one_normal_that_part_in_a_path_are_refused(turned):
         am.solve_path(grids, am.LoadPath({"upper": [1.0], "left": [0.5]}), EXACT)
 
 
-@pytest.mark.parametrize(("elements", "nu"), [("linear", 0.3), ("smoothed", 0.49)])
-@pytest.mark.parametrize(("seed", "floor_moves"), [(0, True), (1, False)])
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(
+    ("dim", "seed", "floor_moves", "elements", "nu"),
+    [
+        (2, 0, True, "smoothed", 0.49),
+        (2, 1, False, "linear", 0.3),
+        (3, 0, True, "linear", 0.3),
+        (3, 1, False, "smoothed", 0.49),
+    ],
+)
 def test_planes_that_move_at_an_angle_to_the_obstacle_compress_uniformly(
     dim, seed, floor_moves, elements, nu
 ):
@@ -473,15 +479,14 @@ def pressed(dim, **changes):
 @pytest.mark.parametrize(
     ("moves", "tilt"), [(False, 0.0), (True, 0.0), (True, 0.4)], ids=["rests", "moves", "tilted"]
 )
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("dim", [2, 3])
-def test_supports_along_normals_turn_with_the_body(dim, seed, moves, tilt):
+def test_supports_along_normals_turn_with_the_body(dim, moves, tilt):
     """Also where planes move the edges along which they meet the contact boundary, at right angles
     or not."""
     sides = {"left": -1e-3, "front": 4e-4} if moves else {}
     guides = [am.Support(name, normal=shift) for name, shift in list(sides.items())[: dim - 1]]
     changes = {"supports": (*guides, am.Support("top", normal=-2e-3))} if moves else {}
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(dim)
     turn, shift = np.linalg.qr(rng.standard_normal((dim, dim)))[0], rng.uniform(-5, 5, dim)
     turn[0] *= np.linalg.det(turn)
     unit = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)

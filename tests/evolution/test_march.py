@@ -11,7 +11,6 @@ import adaptmg as am
 
 # the published numbers of the bar are those of large strains
 pytestmark = pytest.mark.filterwarnings("ignore:strains exceed")
-RNG = np.random.default_rng(42)
 KINDS = ("plane", "axisymmetric", "solid")
 
 
@@ -20,7 +19,8 @@ def bar(kind, divisions, **options):
     which it flies."""
     problem = am.cases.impact_bar(**options)
     dim = 3 if kind == "solid" else 2
-    turn = {"plane": RNG.uniform(0, 6), "axisymmetric": 0.0, "solid": RNG.uniform(-2, 2, 3)}[kind]
+    rng = np.random.default_rng(42)
+    turn = {"plane": rng.uniform(0, 6), "axisymmetric": 0.0, "solid": rng.uniform(-2, 2, 3)}[kind]
     material = problem.material
     domain = problem.domain
     if kind == "axisymmetric":
@@ -79,7 +79,8 @@ def test_a_bar_that_hits_a_wall(kind):
 def test_a_free_flight_is_exact(kind, young, accuracy):
     divisions = ((1, 1, 10), (2, 2, 20)) if kind == "solid" else ((1, 10), (2, 20))
     grids, down = bar(kind, divisions, gap=1e5, young=young)
-    velocity = 100.0 * (down if kind == "axisymmetric" else RNG.uniform(-1, 1, len(down)))
+    across = np.random.default_rng(1).uniform(-1, 1, len(down))
+    velocity = 100.0 * (down if kind == "axisymmetric" else across)
     dynamics = am.Dynamics(density=1.0, initial_velocity=velocity, step=0.3, end=15.0)
     *_, last = am.march(grids, dynamics, rtol=1e-12)
     distance = 15.0 * velocity
@@ -189,10 +190,10 @@ def test_equal_bars_exchange_their_velocities(cells):
 @pytest.mark.parametrize(
     ("law", "distance"),
     [
-        (am.Coulomb(0.3), 1 / (0.6 * 9.81)),
+        (am.Coulomb(0.3), 0.25 / (0.6 * 9.81)),
         (
-            am.StateLaw(lambda _, slip: 0.3 * np.maximum(1 - slip, 0.0)),
-            1 - (1 - 2 / (0.6 * 9.81)) ** 0.5,
+            am.StateLaw(lambda _, slip: 0.3 * np.maximum(1 - 4 * slip, 0.0)),
+            0.25 * (1 - (1 - 2 / (0.6 * 9.81)) ** 0.5),
         ),
     ],
     ids=["constant", "falling"],
@@ -209,11 +210,12 @@ def test_a_sliding_block_stops(law, distance):
     grids = am.Hierarchy.uniform(problem, ((8, 2), (16, 4)))
     rest = am.solve(grids)
     dynamics = am.Dynamics(
-        density=density, initial_velocity=(1.0, 0.0), step=0.004, end=0.5, damping=1e-3
+        density=density, initial_velocity=(0.5, 0.0), step=0.004, end=0.26, damping=1e-3
     )
     *_, last = am.march(grids, dynamics, start=rest)
-    np.testing.assert_allclose((last.displacement - rest.displacement)[:, 0], distance, rtol=2e-3)
-    assert last.energies["friction"] == pytest.approx(0.5 * density * 0.04, rel=1e-3)
+    moved = (last.displacement - rest.displacement)[:, 0]
+    np.testing.assert_allclose(moved, distance, rtol=0, atol=2e-4)
+    assert last.energies["friction"] == pytest.approx(0.5 * density * 0.01, rel=1e-3)
     assert last.contact.counts()["stick"] == len(last.contact)
 
 
