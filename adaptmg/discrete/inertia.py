@@ -29,6 +29,7 @@ def lumped_mass(posed: Posed, dynamics: Dynamics) -> np.ndarray:
     """Return the masses (n_nodes,) of nodes, kg (plane: kg/m; axisymmetric: of the full
     circumference)."""
     mesh = posed.mesh
+    # the mass of a node is each component of its force by a body force of the size of the density
     forces = [
         BodyForce((density,) * mesh.dim, body=checks.choice("bodies of density", body, mesh.bodies))
         for body, density in _by_body(dynamics.density, posed).items()

@@ -122,7 +122,7 @@ def columns_of(
 ) -> list[Column]:
     """Return the columns of a table in the units that are set; ValueError where units or formats
     name others."""
-    if set(units or {}) <= set(frame.columns):
+    if set(units or {}) <= set(frame.columns):  # else cells() below says which it does not have
         frame, units = with_units(frame, units or {})
     return [
         Column(*worded(str(name), (units or {}).get(str(name))), numeric(column), texts)

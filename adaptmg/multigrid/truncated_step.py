@@ -67,7 +67,7 @@ class TruncatedStatus:
     """The contact status that the coarse matrices are truncated for."""
 
     contact: TruncatedContact  # with status, slip directions and Hessians
-    frozen: bool  # whether g is frozen, which keeps them symmetric
+    frozen: bool  # whether the bounds g of friction are frozen, which keeps them symmetric
 
 
 #: an iterate (n_unknowns,), and its residual on the next coarser level with what volumes miss behind
@@ -252,8 +252,8 @@ class TruncatedStep:
         """Return the state with the contact status after the smoothing, and with the residual truncated
         for this status.
 
-        If the residual, N, is above ``trusted(unknowns)``, g is frozen in the coarse matrices, which
-        keeps them symmetric."""
+        If the natural residual, N, is above ``trusted(unknowns)``, the bounds g of friction are frozen
+        in the coarse matrices, which keeps them symmetric."""
         unknowns, pressures = self.parts(state)
         contact = state.contact
         residual = state.residual  # f - A u, which is truncated in place below
@@ -484,7 +484,8 @@ class TruncatedStep:
     def _search(
         self, state: TruncatedState, proposed: np.ndarray, contact: TruncatedContact
     ) -> None:
-        """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
+        """Shorten the step to the least energy with the bounds g of friction frozen, in place; costs
+        half a pass."""
         unknowns = self.displacement(state)
         curvature = self.distance(unknowns, proposed) ** 2
         change = proposed - unknowns

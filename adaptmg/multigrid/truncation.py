@@ -295,8 +295,8 @@ class Truncation:
             self.products = DofUpdate(levels[:-1], prolongations, fine.dim, self.rows, self.columns)
 
     def apply(self, contact: TruncatedContact, newton: bool) -> None:
-        """Truncate the matrices for a status. Without ``newton`` g is frozen, which keeps them
-        symmetric."""
+        """Truncate the matrices for a status. Without ``newton`` the bounds g of friction are frozen,
+        which keeps them symmetric."""
         changed_blocks(
             contact.dim,
             self.rows,
@@ -411,8 +411,9 @@ def changed_blocks(
     block,
     spare,
 ):
-    """Write Delta of every collected block, Cartesian, to ``change``. Without ``newton`` g is frozen,
-    and the slip rows stay symmetric. ``block`` and ``spare`` (dim, dim) are overwritten."""
+    """Write Delta of every collected block, Cartesian, to ``change``. Without ``newton`` the bounds g of
+    friction are frozen, and the slip rows stay symmetric. ``block`` and ``spare`` (dim, dim) are
+    overwritten."""
     size = dim * dim
     n_tangents = dim - 1
     # _turn would be compiled again for each constant

@@ -274,6 +274,7 @@ def _automatic_factor(result: Result) -> float:
     u_n = contact.u_n[closes]
     initial_gap = contact.gap[closes] + u_n
     factor = min(factor, ((_OVERLAP * size + initial_gap) / u_n).min(initial=np.inf))
+    # the nodes that touch move apart by at most a share of the size of their patch
     for k in range(len(contact.names)):
         nodes = contact.node[contact.closed & (contact.boundary == k)]
         if len(nodes) > 1:

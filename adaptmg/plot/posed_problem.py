@@ -324,8 +324,8 @@ def _draw_obstacle(ax: Axes, contact: Contact, mesh: MeshArrays, extent: float) 
 
 
 def _name_faces(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, loaded: list[str]) -> None:
-    """Turn a single body so that contact, which counts three times, and loads show most, and name
-    what is seen."""
+    """Turn a single body so that contact, which counts three times, and loads show most, and name the
+    faces that are seen; of several bodies only those of a STEP file, whose names are looked up here."""
     scale = _unit_scale(mesh)
     corners = {name: scale * mesh.points[mesh.boundary_facets(name)] for name in mesh.boundaries}
     if len(mesh.bodies) == 1:

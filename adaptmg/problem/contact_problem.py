@@ -435,8 +435,8 @@ class ContactProblem(checks.Checked):
                 )
 
     def check_bodies(self, known: tuple[str, ...]) -> None:
-        """Raise ValueError unless the materials name exactly the bodies ``known``, and loads name
-        some of them."""
+        """Raise ValueError unless the materials name exactly the bodies ``known``, and loads and
+        supports, where they name a body, one of them."""
         if not isinstance(self.material, Elastic) and set(self.material) != set(known):
             raise ValueError(
                 f"material must name each body once: the bodies are {', '.join(map(repr, known))}, "

@@ -439,6 +439,7 @@ def placed(
         inner = replace(obstacle, obstacle=placed(obstacle.obstacle, factors, motions))
         if motions is None:
             return inner.loaded(factors)
+        # dim translations, then one rotation in 2D or three
         return inner.placed(np.asarray(motions.get(obstacle.name, np.zeros(3 * obstacle.dim - 3))))
     if isinstance(obstacle, Moving):
         inner = placed(obstacle.obstacle, factors, motions)

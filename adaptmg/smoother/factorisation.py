@@ -332,8 +332,8 @@ def condense(local: LocalProblem, lenient: bool = False) -> Condensed:
 def eliminate(
     system: LocalSystem, coordinates: np.ndarray | None, lenient: bool = False
 ) -> Eliminated:
-    """Eliminate all but the contact nodes of a system. ``lenient``: where it is singular with all
-    contact dofs fixed, dofs that depend on others stay at zero."""
+    """Eliminate all but the contact nodes of a system, by factors of M = A + Sigma. ``lenient``: where it
+    is singular with all contact dofs fixed, dofs that depend on others stay at zero."""
     dim = system.dim
     contact = dofs_of(system.nodes, dim)
     shift = np.abs(
@@ -395,7 +395,8 @@ def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> spa
 def _eliminate(
     matrix: sparse.csc_array, order: np.ndarray, contact: np.ndarray
 ) -> tuple[OrderedFactors, np.ndarray]:
-    """Return the factors of a matrix and L_cc U_cc (n_c, n_c) in the order of ``contact``."""
+    """Return the factors of a matrix by the elimination ``order`` (n_dofs,), in which the dofs
+    ``contact`` (n_c,) are last, and L_cc U_cc (n_c, n_c) in the order of ``contact``."""
     try:
         factors = OrderedFactors.of(matrix, order)
     except RuntimeError as error:

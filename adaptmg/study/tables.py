@@ -42,8 +42,9 @@ def frame(
     rows: Sequence[tuple[Mapping[str, Value], Record | None, str]],
     details: bool = False,
 ) -> pd.DataFrame:
-    """Return a table of runs: parameters by ``names``, results, status, seconds, error, and
-    details; ``attrs["columns"]`` has the names of the last."""
+    """Return a table of runs, of which ``rows`` have the point, the record and the status: parameters by
+    ``names``, results, status, seconds, error, and details. ``attrs["columns"]`` has the names of those
+    after the results, see :func:`own_columns`."""
     import pandas as pd
 
     records = [record for _, record, _ in rows if record is not None]
