@@ -251,7 +251,7 @@ class Grids:
     def operator_complexity(self) -> float:
         """Return the nonzeros of the discretised matrices on all levels over those of the
         finest."""
-        return sum(level.matrix.nnz for level in self.levels) / self.finest.matrix.nnz
+        return sum(level.nonzeros for level in self.levels) / self.finest.nonzeros
 
     def table(self) -> list[dict[str, float]]:
         """Return one dict a level: level, nodes, contact_nodes, nonzeros."""
@@ -262,7 +262,7 @@ class Grids:
                 "contact_nodes": len(level.discrete.contact)
                 if level.discrete_or_none is not None
                 else 0,
-                "nonzeros": level.matrix.nnz,
+                "nonzeros": level.nonzeros,
             }
             for k, level in enumerate(self.levels)
         ]

@@ -166,7 +166,16 @@ class Level:
     @property
     def n_nodes(self) -> int:
         """Return the number of nodes; of a coarse space of the rows of blocks of its matrix."""
+        if self.discrete_or_none is not None:
+            return self.discrete_or_none.n_nodes
         return checks.shape_of(self.matrix)[0] // self.matrix.blocksize[0]
+
+    @property
+    def nonzeros(self) -> int:
+        """Return the number of stored entries of the matrix."""
+        if self.discrete_or_none is not None:
+            return self.discrete_or_none.rows.nonzeros
+        return self.matrix.nnz
 
     def prolong(self, u: ArrayLike) -> np.ndarray:
         """Return values on this level from those on the next coarser one (primal): P u.

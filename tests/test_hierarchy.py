@@ -621,7 +621,7 @@ def test_a_forecast_counts_cycles(case, divisions):
 
 @pytest.mark.parametrize(
     ("case", "divisions", "most"),
-    [("greco_bar", (4, 8, 16, 32, 64, 128), 770), ("greco_block", (4, 8, 16), 1470)],
+    [("greco_bar", (4, 8, 16, 32, 64, 128), 640), ("greco_block", (4, 8, 16), 1250)],
 )
 def test_memory_of_hierarchy_and_solve_in_bytes_a_dof(case, divisions, most):
     problem = am.cases.CASES[case].function()

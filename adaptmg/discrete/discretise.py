@@ -24,7 +24,7 @@ from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.contact_nodes import check_bounds, check_size, largest_entry
 from adaptmg.discrete.coordinates import friction_acts
-from adaptmg.discrete.elasticity import motions_at
+from adaptmg.discrete.elasticity import motions_at, repeated_rows
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.obstacles import check_held
 from adaptmg.discrete.posed import Posed, nodal_law
@@ -34,7 +34,7 @@ from adaptmg.discrete.supports import EnergyTerms
 from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.problem.loads import InitialStrain
+from adaptmg.problem.loads import InitialStrain, PointSpring, Spring
 
 
 @one_blas_thread()
@@ -85,9 +85,7 @@ def assembled(
         before = checks.array("slip_reference", slip_reference, mesh.points.shape)[contact.nodes]
         contact = replace(contact, slip_reference=before + contact.slip_reference)
     materials = posed.materials
-    matrix = supported_stiffness(mesh, materials, problem.supports, problem.elements)
     parts = {
-        "matrix": matrix if effective is None else effective(matrix),
         "load": load_vector(mesh, problem.loads, materials, problem.elements),
         "fixed": posed.fixed.reshape(-1),
         "fixed_values": values.reshape(-1),
@@ -113,11 +111,28 @@ def assembled(
             '.4; take elements="linear"'
         )
     parts |= _initial_strain_parts(posed, parts["volumes"])
+    parts |= _matrix_part(posed, effective)
     for array in (parts["load"], posed.fixed, values, *posed.bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied
     result = DiscreteProblem.assembled(posed.rows.follows, **parts)
     check_held(posed, result)
     return result
+
+
+def _matrix_part(
+    posed: Posed, effective: Callable[[sparse.bsr_array], sparse.bsr_array] | None
+) -> dict[str, Any]:
+    """Return the ``matrix`` of the bodies and their springs, or, where nothing is added to the
+    stiffness of a lattice, its ``rows``."""
+    problem = posed.problem
+    springs = any(isinstance(support, Spring | PointSpring) for support in problem.supports)
+    coupled = posed.rows.follows is not None
+    if not (springs or coupled or len(posed.inclined) or problem.inelastic or effective):
+        rows = repeated_rows(posed.mesh, posed.materials, problem.elements)
+        if rows is not None:
+            return {"rows": rows}
+    matrix = supported_stiffness(posed.mesh, posed.materials, problem.supports, problem.elements)
+    return {"matrix": matrix if effective is None else effective(matrix)}
 
 
 def _initial_strain_parts(posed: Posed, volumes: Volumes) -> dict[str, Any]:

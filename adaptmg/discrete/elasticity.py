@@ -46,6 +46,7 @@ from scipy.sparse.csgraph import connected_components
 from adaptmg import _checks as checks
 from adaptmg._numba import ZERO, inner_kernel, kernel, prefetch, read_only
 from adaptmg._threads import in_parts, one_blas_thread
+from adaptmg.discrete.block_rows import BlockRows, frozen_matrix
 from adaptmg.discrete.moduli import (
     Materials,
     body_materials,
@@ -61,9 +62,10 @@ from adaptmg.problem.laws import Elastic
 #: patches between a prefetch and its use: those of smoothed elements lie far apart. Their matrix of 118k nodes in space
 #: takes .21 s to sum (without 1.19; at 4 and 16 .33 and .21), of 36k .060 (.082; .064, .060); linear elements no less
 _LATER = 8
-#: nodes from which the matrix of a lattice repeats the rows of a small one: 20 ms for 263k nodes (sum over patches 63),
-#: 9.4 for 36k in space (40), there 27 of smoothed elements (208). With 4225 nodes in the plane both take .8; in space
-#: it would pay from 1300 nodes on, of smoothed elements from 500: 1728 take .9 (1.2) and 1.9 ms (6.1)
+#: nodes from which the rows of a lattice are those of a small one: 3.6 ms for 263k nodes (sum over patches 63), 2.5 for
+#: 36k in space (40), there 4.3 of smoothed elements (208); the matrix, if somebody asks for it, 20, 9 and 25 more.
+#: With 4225 nodes in the plane matrix and sum take .8; in space the matrix would pay from 1300 nodes on, of smoothed
+#: elements from 500: 1728 take .9 (1.2) and 1.9 ms (6.1)
 _REPEATED = 4000
 #: the rows of all nodes
 ALL_NODES = slice(None)
@@ -128,10 +130,9 @@ def stiffness(
     checks.choice("elements", elements, ("linear", "smoothed"))
     materials = body_materials(mesh, material)
     axisymmetric = is_axisymmetric(materials)
-    varies = any(elastic.anisotropy and elastic.anisotropy.varies for elastic in materials)
-    uniform = tangents is None and not axisymmetric and not varies
-    if uniform and len(mesh.lattices) == 1 and mesh.n_nodes >= _REPEATED:
-        return _of_lattice(mesh, materials[0], elements)
+    repeated = repeated_rows(mesh, materials, elements) if tangents is None else None
+    if repeated is not None:
+        return repeated.matrix
     patches = patches_of(mesh, materials, elements)
     of_elements = moduli(mesh, materials, elements)
     rows = of_elements.rows[patches.element]
@@ -170,13 +171,24 @@ def stiffness(
         data,
     )
     in_parts(_mirror, mesh.n_nodes, data.size, ZERO[dim], indptr, indices, data)
-    return _matrix(data, indices, indptr)
+    return frozen_matrix(data, indices, indptr)
 
 
-def _of_lattice(mesh: MeshArrays, material: Elastic, elements: str) -> sparse.bsr_array:
-    """Return the stiffness of a lattice in one uniform material. Each row repeats that of a node of a
-    small lattice with the same cells: the node that is as far from the nearer end along each axis,
-    or in the middle along axes where both ends are beyond the reach of rows."""
+def repeated_rows(
+    mesh: MeshArrays, material: Materials, elements: str = "linear"
+) -> BlockRows | None:
+    """Return the rows of the stiffness of a large lattice in one uniform material, without the matrix;
+    None for other meshes and materials.
+
+    Each row repeats that of a node of a small lattice with the same cells: the node that is as far
+    from the nearer end along each axis, or in the middle along axes where both ends are beyond the
+    reach of rows."""
+    if len(mesh.lattices) != 1 or mesh.n_nodes < _REPEATED:
+        return None
+    materials = body_materials(mesh, material)
+    varies = any(elastic.anisotropy and elastic.anisotropy.varies for elastic in materials)
+    if varies or is_axisymmetric(materials):
+        return None
     (counts,) = mesh.lattices
     reach = 1 if elements == "linear" else 2
     # with 2 reach cells along an axis the node in the middle has the row of all nodes beyond this reach
@@ -185,38 +197,25 @@ def _of_lattice(mesh: MeshArrays, material: Elastic, elements: str) -> sparse.bs
     cell = (mesh.points[-1] - mesh.points[0]) / counts
     # the node in the middle lies at the origin: its neighbours on opposite sides have opposite coordinates, so that
     # their blocks are transposes of each other to the bit
-    sample = stiffness(replace(unit, points=(unit.points - reach) * cell), material, elements)
+    sample = stiffness(replace(unit, points=(unit.points - reach) * cell), materials[0], elements)
     # the node of the small lattice that has the row of each node
-    kinds = np.zeros(1, dtype=np.int32)
+    kinds = np.zeros(1, dtype=np.uint8)
     for n, n_few, stride in zip(counts, few_counts, strides_of(few_counts), strict=True):
-        place = np.arange(n + 1, dtype=np.int32)
+        place = np.arange(n + 1)
         # within reach of the lower end the same place, within reach of the upper end as far from it, else the middle
-        place = np.minimum(place, np.maximum(reach, place - np.int32(n - n_few)))
-        kinds = (place[:, None] * stride + kinds).reshape(-1)
+        place = np.minimum(place, np.maximum(reach, place - (n - n_few)))
+        kinds = ((stride * place).astype(np.uint8)[:, None] + kinds).reshape(-1)
     # the numbers that nodes of the small lattice have in the large one with the same origin; a column minus its
     # row is the same wherever the row is
     large_numbers = np.rint(unit.points @ strides_of(counts)).astype(np.int32)
-    row_lengths = np.diff(sample.indptr)
-    shifts = large_numbers[sample.indices] - np.repeat(large_numbers, row_lengths)
-    indptr = np.zeros(mesh.n_nodes + 1, dtype=np.int64)
-    np.cumsum(row_lengths[kinds], out=indptr[1:])
-    indices = np.empty(indptr[-1], dtype=np.int32)
-    data = np.empty((len(indices), *sample.blocksize))
-    rows = kinds, sample.indptr, shifts, sample.data
-    in_parts(_repeat_rows, mesh.n_nodes, data.size, *rows, indptr, indices, data)
-    return _matrix(data, indices, indptr)
-
-
-def _matrix(data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> sparse.bsr_array:
-    """Return the matrix of sorted blocks (n, dim, dim), whose pattern is frozen."""
-    if len(indices) < 2**31:
-        indptr = indptr.astype(np.int32)
-    for array in (indices, indptr):
-        array.flags.writeable = False
-    n_dofs = data.shape[1] * (len(indptr) - 1)
-    matrix = sparse.bsr_array((data, indices, indptr), shape=(n_dofs, n_dofs), copy=False)
-    matrix.has_sorted_indices = True
-    return matrix
+    shifts = large_numbers[sample.indices] - np.repeat(large_numbers, np.diff(sample.indptr))
+    return BlockRows(
+        dim=mesh.dim,
+        kinds=read_only(kinds),
+        indptr=read_only(sample.indptr),
+        indices=read_only(shifts),
+        data=sample.data.reshape(-1),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -691,21 +690,6 @@ def _mirror(first, last, zero, indptr, indices, data):
             for m in range(k):
                 data[at, k, m] = data[at, m, k]
         next_block[i] = np.int64(at) + 1  # behind the diagonal
-
-
-@kernel
-def _repeat_rows(first, last, kinds, starts, shifts, blocks, indptr, indices, data):
-    """Write rows: row i has the blocks of row ``kinds[i]`` of another matrix, in columns i + ``shifts``."""
-    one = np.uint64(1)
-    for i in range(first, last):
-        kind = np.uint64(kinds[i])
-        at = np.uint64(indptr[i])
-        for p in range(np.uint64(starts[kind]), np.uint64(starts[kind + one])):
-            indices[at] = i + shifts[p]
-            for a in range(blocks.shape[1]):
-                for b in range(blocks.shape[2]):
-                    data[at, a, b] = blocks[p, a, b]
-            at += one
 
 
 def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:

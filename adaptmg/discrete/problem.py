@@ -24,6 +24,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._text import shortened
+from adaptmg.discrete.block_rows import BlockRows
 from adaptmg.discrete.contact_nodes import (
     Bounds,
     ContactNodes,
@@ -77,6 +78,14 @@ def _near_nullspace(problem: DiscreteProblem) -> np.ndarray | None:
     return modes.reshape(problem.n_dofs, -1)
 
 
+def _stored_matrix(problem: DiscreteProblem) -> sparse.bsr_array:
+    """Return the matrix of a problem that has been assembled without it, which from now on is the one
+    that is solved, whatever a user does to its entries."""
+    matrix = problem.rows.matrix
+    vars(problem)["rows"] = BlockRows.of(matrix)
+    return matrix
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, init=False)
 class DiscreteProblem(Unknowns):
     """A contact problem as arrays; every solver takes it.
@@ -122,7 +131,8 @@ class DiscreteProblem(Unknowns):
     [1.0]
     """
 
-    matrix: sparse.bsr_array
+    # made of ``rows`` where the problem has been assembled without it
+    matrix: sparse.bsr_array | Any = cached_property(_stored_matrix)  # noqa: RUF009
     load: np.ndarray
     fixed: np.ndarray
     law: Law
@@ -245,14 +255,16 @@ class DiscreteProblem(Unknowns):
     def assembled(cls, weights: sparse.csr_array | None = None, **parts: Any) -> DiscreteProblem:
         """Return the problem of arrays that the package has assembled: they are neither copied nor
         checked. ``weights`` are those of :meth:`coupled`. ``motions`` computes ``near_nullspace`` in
-        displacements, (n, dim, k) at some nodes, where that is not given."""
+        displacements, (n, dim, k) at some nodes, where that is not given. ``rows`` may take the place of
+        ``matrix`` if neither weights nor inclined supports change it."""
         if weights is not None:
             parts = _in_relative_coordinates(weights, parts)
         parts = parts["inclined"].of_problem(parts)
         motions = parts.pop("motions", None)
-        matrix = checks.indices_frozen(parts["matrix"])
+        if "matrix" in parts:
+            parts["matrix"] = checks.indices_frozen(parts["matrix"])
         result = cls.__new__(cls)
-        result.__dict__.update(parts, matrix=matrix, _motions=motions)
+        result.__dict__.update(parts, _motions=motions)
         result._complete()
         return result
 
@@ -349,6 +361,8 @@ class DiscreteProblem(Unknowns):
     def posing(self, **parts: object) -> DiscreteProblem:
         """Return the problem with other parts (load, law, ...), which have been checked."""
         result = copy.copy(self)
+        if "matrix" in parts:
+            result.__dict__.pop("rows", None)
         result.__dict__.update(parts, _computed=Computed())
         return result
 
@@ -380,7 +394,7 @@ class DiscreteProblem(Unknowns):
     def residual(self, solution: np.ndarray) -> np.ndarray:
         """Return b - A u - B'p (n_dofs,), N, of a solution (n_unknowns,); dual."""
         displacement, pressures = self.parts(solution)
-        return self.volumes.balanced(self.load - self.matrix @ displacement, pressures)
+        return self.volumes.balanced(self.load - self.rows.times(displacement), pressures)
 
     def need_no_volumes(self, what: str) -> None:
         """Raise ValueError if there are volumes; ``what`` names the method that cannot take them."""
@@ -426,10 +440,15 @@ class DiscreteProblem(Unknowns):
                 "take the node out of the contact boundary or free the component"
             )
 
+    @cached_property
+    def rows(self) -> BlockRows:
+        """Return the rows of the matrix; of a lattice, which repeats them, without the matrix."""
+        return BlockRows.of(self.matrix)
+
     @property
     def n_dofs(self) -> int:
         """Return the number of degrees of freedom, fixed ones included."""
-        return self.matrix.shape[0]
+        return len(self.fixed)
 
     @property
     def whole_load(self) -> np.ndarray:
@@ -538,23 +557,3 @@ def _relative_motions(
     modes = motions(ALL_NODES)
     flat = modes.reshape(-1, modes.shape[2])
     return coupling.relative(flat).reshape(modes.shape)[nodes]
-
-
-def diagonal_places(matrix: sparse.bsr_array) -> np.ndarray:
-    """Return the places (n_nodes,) of the diagonal blocks of a matrix, which has them all."""
-    numbers = np.arange(len(matrix.indices), dtype=np.int32)
-    n = len(matrix.indptr) - 1
-    return sparse.csr_array((numbers, matrix.indices, matrix.indptr), shape=(n, n)).diagonal()
-
-
-@remembered_of_structure
-def diagonal_places_of(problem: DiscreteProblem) -> np.ndarray:
-    """Return the places (n_nodes,) of the diagonal blocks of the matrix, stored with the
-    structure."""
-    return diagonal_places(problem.matrix)
-
-
-def nodal_blocks(problem: DiscreteProblem, nodes: np.ndarray | None = None) -> np.ndarray:
-    """Return the diagonal blocks (n, dim, dim) of the matrix, of some or of all nodes."""
-    places = diagonal_places_of(problem)
-    return problem.matrix.data.take(places if nodes is None else places[nodes], axis=0)

@@ -470,8 +470,8 @@ class AdaptiveLoop:
         seconds_before = 0.0 if last is None else last.total_seconds
         work_before = 0.0
         if last is not None:
-            entries = last.total_work_units * last.hierarchy.finest.matrix.nnz
-            work_before = entries / hierarchy.finest.matrix.nnz
+            entries = last.total_work_units * last.hierarchy.finest.nonzeros
+            work_before = entries / hierarchy.finest.nonzeros
         step = Step(
             number=number,
             hierarchy=hierarchy,

@@ -601,7 +601,7 @@ class Guide:
             contact=discrete.contact,
             volumes=replace(discrete.volumes, rows=discrete.volumes.rows @ basis),
         )
-        run = Run(unit=posed.finest.discrete.matrix.nnz)
+        run = Run(unit=posed.finest.nonzeros)
         with run.phase("start"):
             outcome = ActiveSet().run(Grids.single(problem), run, None)
         self.spent.append(run)

@@ -350,7 +350,7 @@ class March:
         # a contact problem for the change, with the matrix M, no load, and the gaps that are left
         gaps = replace(contact, gaps=-overlap, allow_interference=True)
         grids = Grids.single(problem.posing(contact=gaps))
-        nearest = ActiveSet().run(grids, Run(unit=problem.matrix.nnz), None)
+        nearest = ActiveSet().run(grids, Run(unit=problem.rows.nonzeros), None)
         if not nearest.status.ok:
             raise RuntimeError(
                 f"no admissible displacement was found next to a free motion: {nearest.status.name}"
@@ -369,7 +369,7 @@ class March:
         self, k: int, certified: bool, callback: Callable[[dict[str, float]], None] | None
     ) -> Result:
         """Take time step k and return its result."""
-        run = Run(unit=self.discrete.matrix.nnz, callback=callback)
+        run = Run(unit=self.discrete.rows.nonzeros, callback=callback)
         with run.phase("setup"):
             free = self.displacement + self.dynamics.step * self.velocity  # u + tau v
             admissible = self._admissible(free)

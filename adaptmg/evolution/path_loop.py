@@ -188,7 +188,7 @@ class PathLoop:
     ) -> tuple[Run, Grids, np.ndarray]:
         """Return the run of step k, its hierarchy, and the forces b - A u_fixed (n_dofs,)."""
         callback = None if progress is None else partial(progress, k)
-        run = Run(unit=self.grids.finest.discrete.matrix.nnz, callback=callback)
+        run = Run(unit=self.grids.finest.nonzeros, callback=callback)
         with run.phase("setup"):
             grids = self._posed(k, motions)
             # Rigid obstacles move until their forces fit, and trial motions may go too far

@@ -114,7 +114,7 @@ def transfer_state(old_grids: Grids, result: Result, new_grids: Grids) -> Result
     carried = result_of(
         new_grids,
         Examiner(discrete, certified=False),
-        Run(unit=discrete.matrix.nnz),
+        Run(unit=discrete.rows.nonzeros),
         Outcome(
             solution=np.append(displacement, pressures),
             status=Status.TRANSFERRED,

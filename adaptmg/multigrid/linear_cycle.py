@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._threads import in_colours, in_parts, scattering
-from adaptmg.discrete.problem import diagonal_places
+from adaptmg.discrete.block_rows import diagonal_places
 from adaptmg.multigrid.cycle import VISITS, Cycle, Recorder
 from adaptmg.multigrid.split_matrix import (
     SplitMatrix,

@@ -19,14 +19,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg._checks import indices_frozen
-from adaptmg._numba import inner_kernel, kernel, read_only
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import LARGE, in_colours, in_parts, scattering
+from adaptmg.discrete.block_rows import BlockRows, table_column, table_row
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.grids import Grids
 from adaptmg.level import Level
@@ -45,7 +45,7 @@ from adaptmg.smoother.blocks import (
     times,
     write,
 )
-from adaptmg.smoother.strips import Strips, product
+from adaptmg.smoother.strips import Strips
 from adaptmg.transfer.galerkin import coarse_matrix, without_fixed, without_idle_rows
 
 
@@ -65,8 +65,8 @@ class SplitMatrix:
     fixed: np.ndarray  # (n_fixed,) int64: fixed dofs
     nonzeros: int  # stored entries of the whole matrix, the unit of work on this level
     strips: Strips  # the order of the sweeps
-    # after :meth:`set_aside`: the whole matrix and the fixed dofs, from which L is made again
-    aside: tuple[sparse.bsr_array, np.ndarray] | None = None
+    # after :meth:`set_aside`: the rows of the matrix and the fixed dofs, from which L is made again
+    aside: tuple[BlockRows, np.ndarray] | None = None
 
     @cached_property
     def n_nodes(self) -> int:
@@ -113,7 +113,7 @@ class SplitMatrix:
         :attr:`diagonal_sizes` need."""
         self.diagonal = np.empty(0)
 
-    def set_aside(self, matrix: sparse.bsr_array, fixed: np.ndarray) -> bool:
+    def set_aside(self, rows: BlockRows, fixed: np.ndarray) -> bool:
         """Free L and the inverse blocks of a large symmetric matrix, until :meth:`complete` makes them
         again; return whether it is large."""
         if not self.symmetric or len(self.lower) < LARGE:
@@ -121,7 +121,7 @@ class SplitMatrix:
         self.lower_indices = np.empty(0, dtype=np.uint32)
         self.lower = np.empty(0)
         self.inverse = np.empty(0)
-        self.aside = matrix, fixed
+        self.aside = rows, fixed
         return True
 
     def complete(self) -> None:
@@ -194,19 +194,21 @@ class SplitMatrix:
         )
 
 
-def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) -> SplitMatrix:
+def split(
+    matrix: sparse.bsr_array | BlockRows, fixed: np.ndarray, symmetric: bool = False
+) -> SplitMatrix:
     """Split a block matrix into its halves, with the rows and columns of fixed dofs zeroed."""
-    dim = matrix.blocksize[0]
-    n = matrix.shape[0] // dim
-    indptr = read_only(matrix.indptr)
-    indices = read_only(matrix.indices)
-    data = matrix.data.reshape(-1)
-    strips = Strips.of(indptr, indices, dim * dim)
-    size = len(data)
+    rows = BlockRows.of(matrix)
+    dim = rows.dim
+    n = rows.n_nodes
+    size = rows.nonzeros
+    strips = Strips.of(rows)
     lower_indptr = np.zeros(n + 1, dtype=np.int32)
     upper_indptr = np.zeros(n + 1, dtype=np.int32)
     # row pointers of both halves from the number of blocks in a row
-    in_parts(count, n, size, strips.order, indptr, indices, strips.rank, lower_indptr, upper_indptr)
+    in_parts(
+        count, n, size, strips.order, *rows.arrays[:3], strips.rank, lower_indptr, upper_indptr
+    )
     for counts in (lower_indptr, upper_indptr):
         np.cumsum(counts, out=counts)
     below = int(lower_indptr[-1])
@@ -230,9 +232,7 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
         size,
         strips.order,
         ZERO[dim],
-        indptr,
-        indices,
-        data,
+        *rows.arrays,
         strips.rank,
         ~fixed,
         held,
@@ -275,9 +275,9 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
     the Galerkin one (nested meshes) it is taken over; not with coupled bodies, whose truncated
     matrices need more entries near contact. The finest matrix, which no truncation changes, is
     symmetric."""
-    matrix = hierarchy.finest.matrix
     fine = hierarchy.finest.discrete
-    result = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)]
+    rows = fine.rows
+    result = [split(rows, fine.fixed, symmetric=len(hierarchy) > 1)]
     # the prolongation of the last product, whose idle nodes the next product leaves out; None after a
     # discretised matrix, which has none
     finer = None
@@ -290,24 +290,24 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
         coarse = level.discrete_or_none
         if coarse is None:
             # a coarse space, made from the finest matrix with its products
-            matrix = level.matrix
+            rows = BlockRows.of(level.matrix)
             fixed = np.zeros(level.matrix.shape[0], dtype=bool)
-            result.insert(0, split(matrix, fixed))
+            result.insert(0, split(rows, fixed))
             continue
+        # all levels above a discretised one are discretised, too
         if not coarse.between_bodies and (
-            (matrix is above.matrix and _of_nested_elements(hierarchy, above, level))
-            or _nested(above, matrix, nodal, coarse.matrix)
+            (rows is above.discrete.rows and _of_nested_elements(hierarchy, above, level))
+            or _nested(above, rows.matrix, nodal, coarse.matrix)
         ):
-            matrix = coarse.matrix
+            rows = coarse.rows
             finer = None
         else:
-            # P'AP without the fixed dofs of the finer level and without its idle nodes; all levels above
-            # a discretised one are discretised, too
-            free_matrix = _without_fixed(matrix, cast("DiscreteProblem", fine), nodal, coarse)
+            # P'AP without the fixed dofs of the finer level and without its idle nodes
+            free_matrix = _without_fixed(rows.matrix, fine, nodal, coarse)
             finer = without_idle_rows(nodal, finer)
-            matrix = coarse_matrix(free_matrix, finer)
+            rows = BlockRows.of(coarse_matrix(free_matrix, finer))
         fine = coarse
-        result.insert(0, split(matrix, coarse.fixed))
+        result.insert(0, split(rows, coarse.fixed))
     return result
 
 
@@ -363,10 +363,11 @@ def is_galerkin(
     restricted = np.zeros(len(probe))
     in_parts(add_prolonged, nodal.shape[0], 2 * len(prolonged), *transfer, probe, prolonged)
     colours = scattering(nodal.indices, nodal.indptr, 2 * len(prolonged))
-    in_colours(colours, restrict, *transfer, product(matrix, prolonged), restricted)
+    in_colours(colours, restrict, *transfer, BlockRows.of(matrix).times(prolonged), restricted)
     # P'A P v against A_c v, relative to |A_c| |v|
-    sizes = product(abs(coarse), np.abs(probe))
-    return bool((np.abs(restricted - product(coarse, probe)) <= tolerance * sizes).all())
+    sizes = BlockRows.of(abs(coarse)).times(np.abs(probe))
+    difference = restricted - BlockRows.of(coarse).times(probe)
+    return bool((np.abs(difference) <= tolerance * sizes).all())
 
 
 def _without_fixed(
@@ -471,26 +472,27 @@ def add_prolonged(first, last, zero, indptr, indices, weights, coarse, u):
 
 
 @kernel
-def count(first, last, order, indptr, indices, rank, lower_counts, upper_counts):
+def count(first, last, order, kinds, indptr, indices, rank, lower_counts, upper_counts):
     """Count the blocks of the rows in both halves, those of place k at k + 1: the row pointers are
     their sums."""
     for place in range(first, last):
-        i = order[place]
+        row, origin = table_row(kinds, np.uint64(order[place]))
         below = 0
         above = 0
-        for k in range(indptr[i], indptr[i + 1]):
+        for k in range(np.uint64(indptr[row]), np.uint64(indptr[row + ONE])):
             # no branches: half of them would be mispredicted
-            below += rank[indices[k]] < place
-            above += rank[indices[k]] > place
+            j = table_column(origin, indices, k)
+            below += rank[j] < place
+            above += rank[j] > place
         lower_counts[place + 1] = below
         upper_counts[place + 1] = above
 
 
 @in_loop
-def _copy(zero, k, to, indices, data, half_indices, half):
-    """Copy block k to place ``to`` of a half."""
+def _copy(zero, k, to, j, data, half_indices, half):
+    """Copy block k, in column j, to place ``to`` of a half."""
     dim = np.uint64(len(zero))
-    half_indices[to] = indices[k]
+    half_indices[to] = j
     for a in range(dim):
         row = dim * np.uint64(a)
         write(half, dim * dim * to + row, read(data, dim * dim * k + row, zero))
@@ -513,6 +515,7 @@ def distribute(
     last,
     order,
     zero,
+    kinds,
     indptr,
     indices,
     data,
@@ -548,18 +551,18 @@ def distribute(
             diagonal[block_at + c] = 0.0
         below = np.uint64(lower_indptr[place])
         above = np.uint64(upper_indptr[place]) if with_upper else np.uint64(0)
-        for entry in range(indptr[i], indptr[i + 1]):
-            k = np.uint64(entry)
-            j = np.uint64(indices[k])
+        row, origin = table_row(kinds, np.uint64(i))
+        for k in range(np.uint64(indptr[row]), np.uint64(indptr[row + ONE])):
+            j = table_column(origin, indices, k)
             meets_fixed |= held[j]
             if rank[j] < place:
-                _copy(zero, k, below, indices, data, lower_indices, lower)
+                _copy(zero, k, below, j, data, lower_indices, lower)
                 below += ONE
             elif rank[j] == place:
                 for c in range(block_size):
                     diagonal[block_at + c] += data[size * k + np.uint64(c)]
             elif with_upper:
-                _copy(zero, k, above, indices, data, upper_indices, upper)
+                _copy(zero, k, above, j, data, upper_indices, upper)
                 above += ONE
         if meets_fixed:
             _mask(

@@ -45,7 +45,7 @@ def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED)
     elements."""
     # half of the entries that the rows of volumes would add to the matrix are there already
     added = 0.5 * np.sum(np.diff(problem.volumes.rows.indptr).astype(float) ** 2)
-    entries = problem.matrix.nnz + added
+    entries = problem.rows.nonzeros + added
     return bool(max(entries / _ENTRIES[problem.dim], problem.n_dofs) <= most[problem.dim])
 
 

@@ -1,4 +1,4 @@
-"""Strips of nodes for sweeps by several threads, and the product of a matrix.
+"""Strips of nodes for sweeps by several threads.
 
 A :class:`Strips` cuts the nodes of a large matrix into strips, such that a node is coupled with its
 own strip and one of the two next to it, never with both. All even strips may then be swept at the
@@ -18,35 +18,10 @@ from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order
 
 from adaptmg import _threads as threads
-from adaptmg._numba import ZERO, kernel, read_only
+from adaptmg.discrete.block_rows import BlockRows
 
 #: the least number of strips that pays
 FEWEST = 4
-
-
-def product(matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
-    """Return A v (n,), summed as scipy does."""
-    arrays = map(read_only, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)))
-    result = np.empty(matrix.shape[0])
-    zero = ZERO[matrix.blocksize[0]]
-    threads.in_parts(
-        _multiply, len(matrix.indptr) - 1, matrix.data.size, zero, *arrays, vector, result
-    )
-    return result
-
-
-@kernel
-def _multiply(first, last, zero, indptr, indices, data, v, result):
-    """Write the rows of nodes first, ..., last - 1 of A v to ``result``; ``zero`` is ZERO[dim], ``data``
-    are blocks, row by row."""
-    dim = np.uint64(len(zero))
-    for i in range(np.uint64(first), np.uint64(last)):
-        for a in range(dim):
-            total = 0.0
-            for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + np.uint64(1)])):
-                for b in range(dim):
-                    total += data[dim * (dim * k + a) + b] * v[dim * np.uint64(indices[k]) + b]
-            result[dim * i + a] = total
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,17 +33,16 @@ class Strips:
     colours: list[list[tuple[int, int]]]  # ranges of places that are swept at the same time
 
     @classmethod
-    def of(cls, indptr: np.ndarray, indices: np.ndarray, block: int, stored: bool = True) -> Strips:
-        """Return the strips of a matrix with a symmetric pattern, sorted columns, and ``block``
-        entries a block. Where the numbers of neighbours differ much, strips go by distance in the
-        graph, which only several threads do: sweeps then jump in memory, a third slower even if
-        rows are ``stored`` in their order."""
-        n = len(indptr) - 1
+    def of(cls, rows: BlockRows, stored: bool = True) -> Strips:
+        """Return the strips of a matrix with a symmetric pattern. Where the numbers of neighbours differ
+        much, strips go by distance in the graph, which only several threads do: sweeps then jump in
+        memory, a third slower even if rows are ``stored`` in their order."""
+        n = rows.n_nodes
         numbering = np.arange(n, dtype=np.int32)
         single = cls(numbering, numbering, [[(0, n)]])
-        if block * len(indices) < threads.LARGE:
+        if rows.nonzeros < threads.LARGE:
             return single
-        strips = _strips(indptr, indices, by_distance=stored and threads.several())
+        strips = _strips(rows, by_distance=stored and threads.several())
         if len(strips) < FEWEST:
             return single
         parts = [*strips[::2], *strips[1::2]]
@@ -90,14 +64,15 @@ class Strips:
         threads.in_colours(colours, kernel, self.order, *arguments, joined=True)
 
 
-def _strips(indptr: np.ndarray, indices: np.ndarray, by_distance: bool) -> list[np.ndarray]:
+def _strips(rows: BlockRows, by_distance: bool) -> list[np.ndarray]:
     """Return the nodes of the strips, which are ranges of the numbers of nodes, or, where these are too
     few and ``by_distance`` allows it, ranges of the nodes in the order of their distance."""
-    numbering = np.arange(len(indptr) - 1, dtype=np.int32)
-    last_neighbour = indices[indptr[1:] - 1]  # columns are sorted
-    bounds = _bounds(last_neighbour)
+    numbering = np.arange(rows.n_nodes, dtype=np.int32)
+    bounds = _bounds(rows.last_columns())
     if len(bounds) > FEWEST or not by_distance:
         return [numbering[first:last] for first, last in pairwise(bounds)]
+    indptr = rows.matrix.indptr
+    indices = rows.matrix.indices
     order = _by_distance(indptr, indices)
     place = np.empty_like(order)
     place[order] = numbering

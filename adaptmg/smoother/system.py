@@ -23,11 +23,10 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.block_rows import diagonal_places
 from adaptmg.discrete.coordinates import frames_of, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import (
     DiscreteProblem,
-    diagonal_places,
-    nodal_blocks,
     remembered_of_structure,
 )
 from adaptmg.mesh.arrays import places_of
@@ -64,7 +63,7 @@ class Layer:
         if not (contact.exponent > 1).any():
             return None
         normals = contact.normals
-        blocks = nodal_blocks(problem, contact.nodes)
+        blocks = problem.rows.diagonal_blocks(contact.nodes)
         stiffness = np.einsum("ni,nij,nj->n", normals, blocks, normals)
         return cls(gap, contact.compliance, contact.exponent, stiffness)
 
@@ -377,7 +376,7 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     """Return the diagonal blocks (n_contact, dim, dim) of the contact nodes in local components, as
     :func:`local_system` has them, without rotating the matrix."""
     contact, frames = local_contact(problem)
-    cartesian = nodal_blocks(problem, problem.contact.nodes)
+    cartesian = problem.rows.diagonal_blocks(problem.contact.nodes)
     blocks = np.einsum("nij,njk,nlk->nil", frames, cartesian, frames)
     # of rows and columns of held tangents only the diagonal entries stay
     free = np.ones((len(blocks), problem.dim), dtype=bool)

@@ -33,6 +33,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel, prefetch
+from adaptmg.discrete.block_rows import BlockRows, table_column, table_row
 from adaptmg.discrete.coordinates import block_diagonal, frames_of, from_frames, to_frames
 from adaptmg.discrete.elasticity import dofs_of, nodal_matrix, rotations
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
@@ -66,7 +67,7 @@ _ENOUGH = 1e-4
 
 
 @kernel
-def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
+def _grow(kinds, indptr, indices, group, sizes, most_deep, label, queue, depth):
     """Number the aggregates in ``label`` by breadth-first search inside groups; returns their
     number. ``queue`` and ``depth`` (n_nodes,) are overwritten."""
     n = len(group)
@@ -85,8 +86,9 @@ def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
             head += 1
             if depth[i] == most_deep:
                 continue
-            for p in range(indptr[i], indptr[i + 1]):
-                j = indices[p]
+            row, origin = table_row(kinds, np.uint64(i))
+            for p in range(np.uint64(indptr[row]), np.uint64(indptr[row + ONE])):
+                j = table_column(origin, indices, p)
                 if tail < size and label[j] < 0 and group[j] == group[seed]:
                     label[j] = count
                     depth[j] = depth[i] + 1
@@ -96,9 +98,7 @@ def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
     return count
 
 
-def _joined(
-    matrix: sparse.bsr_array, label: np.ndarray, group: np.ndarray, sizes: np.ndarray
-) -> np.ndarray:
+def _joined(rows: BlockRows, label: np.ndarray, group: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Return the labels after small aggregates (remnants) have joined their smallest neighbour in the
     same group."""
     inside = label >= 0
@@ -109,14 +109,10 @@ def _joined(
     nodes = np.flatnonzero(inside & remnant[label])
     if not len(nodes):
         return label
-    graph = sparse.csr_array(
-        (np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr),
-        shape=(len(label), len(label)),
-    )
-    edges = graph[nodes].tocoo()
+    _, columns, places = rows.entries(nodes)
     # (n_edges,): the remnant at one end of an edge, and the aggregate at its other end
-    aggregate = label[nodes[edges.row]]
-    neighbour = label[edges.col]
+    aggregate = label[nodes[places]]
+    neighbour = label[columns]
     joins = (neighbour >= 0) & ~remnant[neighbour] & (group_of[aggregate] == group_of[neighbour])
     aggregate = aggregate[joins]
     neighbour = neighbour[joins]
@@ -129,16 +125,17 @@ def _joined(
 
 
 @kernel
-def _adjacent(indptr, indices, label, seen, aggregate, neighbour):
+def _adjacent(kinds, indptr, indices, label, seen, aggregate, neighbour):
     """Write the pairs of different aggregates that entries of the matrix join, few of them twice:
     ``seen`` (n_aggregates,), -1 at first, has the aggregate that each was last paired with. Return
     the number of pairs."""
     found = 0
-    for i in range(len(indptr) - 1):
+    for i in range(len(label)):
         if label[i] < 0:
             continue
-        for p in range(indptr[i], indptr[i + 1]):
-            other = label[indices[p]]
+        row, origin = table_row(kinds, np.uint64(i))
+        for p in range(np.uint64(indptr[row]), np.uint64(indptr[row + ONE])):
+            other = label[table_column(origin, indices, p)]
             if other >= 0 and other != label[i] and seen[other] != label[i]:
                 seen[other] = label[i]
                 aggregate[found] = label[i]
@@ -161,14 +158,12 @@ def _groups(problem: DiscreteProblem) -> tuple[np.ndarray, int]:
     return group, n_bodies
 
 
-def _narrow_order(
-    matrix: sparse.bsr_array, label: np.ndarray, count: int
-) -> tuple[np.ndarray, int]:
+def _narrow_order(rows: BlockRows, label: np.ndarray, count: int) -> tuple[np.ndarray, int]:
     """Return the places (count,) of aggregates in an order in which the coarse matrix has a narrow band,
     and the width of the band in aggregates."""
-    pairs = np.empty((2, len(matrix.indices)), dtype=np.int32)
+    pairs = np.empty((2, rows.nonzeros // rows.dim**2), dtype=np.int32)
     seen = np.full(count, -1, dtype=np.int32)
-    pairs = pairs[:, : _adjacent(matrix.indptr, matrix.indices, label, seen, *pairs)]
+    pairs = pairs[:, : _adjacent(*rows.arrays[:3], label, seen, *pairs)]
     coarse = sparse.csr_array(
         (np.ones(pairs.shape[1], dtype=bool), tuple(pairs)), shape=(count, count)
     )
@@ -182,7 +177,7 @@ class Aggregates:
 
     def __init__(self, problem: DiscreteProblem) -> None:
         """Group the nodes, and order the aggregates so that the coarse matrix has a narrow band."""
-        matrix = problem.matrix
+        rows = problem.rows
         dim = problem.dim
         n = problem.n_nodes
         group, n_bodies = _groups(problem)
@@ -195,19 +190,18 @@ class Aggregates:
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], n_bodies)
         label = np.full(n, -1, dtype=np.int32)
         _grow(
-            matrix.indptr,
-            matrix.indices,
+            *rows.arrays[:3],
             group,
             sizes,
             depth,
             label,
             *np.empty((2, n), dtype=np.int32),
         )
-        label = _joined(matrix, label, group, sizes)
+        label = _joined(rows, label, group, sizes)
         self.count = int(label.max(initial=-1)) + 1
         points = np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates
         self.offsets = _offsets(points[:, :dim], label, self.count)
-        place, self.width = _narrow_order(matrix, label, self.count)
+        place, self.width = _narrow_order(rows, label, self.count)
         #: (n_nodes,): places of aggregates in this order, -1 at wholly fixed nodes: a label of -1 takes
         #: the last entry
         self.label = np.append(place, np.int32(-1)).take(label)
@@ -275,7 +269,7 @@ def _increase(array, at, step, v):
 
 
 @kernel
-def _fill(indptr, indices, data, label, offsets, held, projections, zero, sums, width, band):
+def _fill(kinds, indptr, indices, data, label, offsets, held, projections, zero, sums, width, band):
     """Add B'AB to ``band`` (n_coarse, ``width``). Between different aggregates the lower half is stored
     by columns, as LAPACK does: the entry of row r and column c at c * width + r - c. The block of an
     aggregate with itself stands, transposed, in the last columns of its rows; only the half of it is
@@ -291,14 +285,15 @@ def _fill(indptr, indices, data, label, offsets, held, projections, zero, sums, 
     dim = np.uint64(len(zero))
     start_of_other = dim * dim * (dim + ONE) // TWO  # dim * modes: sums of the other aggregate
     ahead = np.int64(data.ctypes.data) + AHEAD
-    for row in range(len(indptr) - 1):
-        i = np.uint64(row)
+    for node in range(len(label)):
+        i = np.uint64(node)
         own = label[i]
         if own < 0:
             continue
         other = own
-        for p in range(np.uint64(indptr[i]), np.uint64(indptr[i + ONE])):
-            j = np.uint64(indices[p])
+        row, origin = table_row(kinds, i)
+        for p in range(np.uint64(indptr[row]), np.uint64(indptr[row + ONE])):
+            j = table_column(origin, indices, p)
             prefetch(np.uintp(ahead + np.int64(8 * dim * dim * p)))
             if j > i:
                 break
@@ -388,7 +383,7 @@ class CoarseCorrection:
 
     def __init__(
         self,
-        matrix: sparse.bsr_array,
+        rows: BlockRows,
         aggregates: Aggregates,
         held_nodes: np.ndarray,
         projections: np.ndarray,
@@ -411,13 +406,12 @@ class CoarseCorrection:
         # the band, and columns for the blocks of aggregates with themselves; see _fill
         width = modes * (aggregates.width + 1)
         band = np.zeros((modes * aggregates.count, width))
-        parts = [matrix]
+        parts = [rows]
         if stiffening.any():
-            parts.append(nodal_matrix(nodes, stiffening, matrix.shape[0]))
+            parts.append(BlockRows.of(nodal_matrix(nodes, stiffening, dim * rows.n_nodes)))
         for part in parts:
-            arrays = part.indptr, part.indices, part.data.reshape(-1)
             sums = np.zeros(2 * dim * modes)
-            _fill(*arrays, *self._basis, sums, np.uint64(width), band.reshape(-1))
+            _fill(*part.arrays, *self._basis, sums, np.uint64(width), band.reshape(-1))
         halves = band[:, -modes:].reshape(-1, modes, modes)
         blocks = halves + halves.swapaxes(1, 2)
         band[:, -modes:] = 0.0

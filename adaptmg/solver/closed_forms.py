@@ -57,7 +57,6 @@ from adaptmg.problem.loads import (
     Traction,
 )
 from adaptmg.problem.surfaces import ContactPair, Periodic
-from adaptmg.smoother.strips import product
 from adaptmg.solver.certificate import Condition, Evidence
 
 #: share of its boundary mass that a contact node may miss by rounding, and that a facet may miss at
@@ -118,7 +117,7 @@ def _stiffness(
     shift = rng.uniform(-1.0, 1.0, mesh.dim)
     field = points @ gradient.T + shift
     unknowns = np.asarray(discrete.relative(field)).reshape(-1)
-    forces = discrete.physical_forces(product(discrete.matrix, unknowns)).reshape(field.shape)
+    forces = discrete.physical_forces(discrete.rows.times(unknowns)).reshape(field.shape)
     # f_i: phi_i sigma n, a dim-th of each facet to a corner, and phi_i (k_n u_n n + k_t u_t)
     expected = np.zeros_like(field)
     strain = 0.5 * (gradient + gradient.T)

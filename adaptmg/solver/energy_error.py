@@ -45,8 +45,9 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel, prefetch
+from adaptmg.discrete.block_rows import table_column, table_row
 from adaptmg.discrete.elasticity import nodal_matrix
-from adaptmg.discrete.problem import DiscreteProblem, diagonal_places_of, nodal_blocks
+from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.blocks import (
     AHEAD,
     ONE,
@@ -137,7 +138,9 @@ def _invert(zero, data, places, inverse):
 
 
 @kernel
-def _forward(first, last, order, zero, indptr, indices, data, rank, inverse, load, u, residual):
+def _forward(
+    first, last, order, zero, kinds, indptr, indices, data, rank, inverse, load, u, residual
+):
     """Sweep by Gauss-Seidel from zero over places of ``order``, and leave the residual in
     ``residual``, which comes as 0. Of the matrix the half that couples a node with those of lower ``rank`` is
     read. With prefetch and unsigned positions 4.6 ms for 263k nodes (7.7), 1.8 for 36k in 3D
@@ -147,26 +150,29 @@ def _forward(first, last, order, zero, indptr, indices, data, rank, inverse, loa
     ahead = np.int64(data.ctypes.data) + AHEAD
     for place in range(first, last):
         i = np.uint64(order[place])
-        begin = np.uint64(indptr[i])
+        row, origin = table_row(kinds, i)
+        begin = np.uint64(indptr[row])
         end = begin  # of the half: what follows is not read again
         r = read(load, dim * i, zero)
-        for p in range(begin, np.uint64(indptr[i + ONE])):
+        for p in range(begin, np.uint64(indptr[row + ONE])):
             prefetch(np.uintp(ahead + np.int64(8 * size * p)))
-            j = np.uint64(indices[p])
+            j = table_column(origin, indices, p)
             if rank[j] < place:
                 r = subtract(r, times(data, size * p, read(u, dim * j, zero)))
                 end = p + ONE
         value = times(inverse, size * i, r)
         write(u, dim * i, value)
         for p in range(begin, end):
-            j = np.uint64(indices[p])
+            j = table_column(origin, indices, p)
             if rank[j] < place:
                 change = negative(transposed_times(data, size * p, value))
                 increase(residual, dim * j, change)
 
 
 @kernel
-def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, load, u, image):
+def _backward(
+    first, last, order, zero, kinds, indptr, indices, data, rank, inverse, load, u, image
+):
     """Sweep by Gauss-Seidel from u, and leave the matrix times the result in ``image``, which comes as 0,
     in one pass. Rows are read from their end: memory that is read in one direction comes in
     advance, in 3D in a third of the time."""
@@ -175,14 +181,15 @@ def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, lo
     ahead = np.int64(data.ctypes.data) - AHEAD
     for place in range(last - 1, first - 1, -1):
         i = np.uint64(order[place])
-        begin = np.uint64(indptr[i])
-        end = np.uint64(indptr[i + ONE])
+        row, origin = table_row(kinds, i)
+        begin = np.uint64(indptr[row])
+        end = np.uint64(indptr[row + ONE])
         on_diagonal = begin
         total = zero
         for k in range(end - begin):
             p = end - ONE - k
             prefetch(np.uintp(ahead + np.int64(8 * size * p)))
-            j = np.uint64(indices[p])
+            j = table_column(origin, indices, p)
             if j == i:
                 on_diagonal = p
             else:
@@ -193,7 +200,7 @@ def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, lo
         increase(image, dim * i, add(total, times(data, size * on_diagonal, value)))
         # later nodes were multiplied with what was here before
         for p in range(begin, end):
-            j = np.uint64(indices[p])
+            j = table_column(origin, indices, p)
             if rank[j] > place:
                 increase(image, dim * j, transposed_times(data, size * p, change))
 
@@ -206,28 +213,27 @@ class _Preconditioner:
     ) -> None:
         """Invert the diagonal blocks, projected where the status holds nodes, and factorise the
         coarse matrix."""
-        matrix = problem.matrix
+        rows = problem.rows
         dim = problem.dim
         self._zero = ZERO[dim]
-        self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
-        self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
+        self._strips = Strips.of(rows, stored=False)
+        self._matrix = *rows.arrays, self._strips.rank
         self._coarse = CoarseCorrection(
-            matrix,
+            rows,
             aggregates,
             status.held,
             status.projections,
             status.nodes,
             status.stiffening,
         )
-        blocks = nodal_blocks(problem, status.held)
+        blocks = rows.diagonal_blocks(status.held)
         blocks[: len(status.nodes)] += status.stiffening
         # directions that are projected away have no stiffness: their inverse is 0
         stiffness, axes = np.linalg.eigh(status.projections @ blocks @ status.projections)
         rounding = 1e-12 * np.abs(blocks).max(axis=(1, 2), initial=0.0)[:, None]
         stiffness[np.abs(stiffness) <= rounding] = np.inf
-        places = diagonal_places_of(problem)
-        self._inverse = np.empty(len(places) * dim * dim)
-        _invert(self._zero, matrix.data.reshape(-1), places, self._inverse)
+        self._inverse = np.empty(rows.n_nodes * dim * dim)
+        _invert(self._zero, rows.data, rows.diagonal_places, self._inverse)
         of_held = (axes / stiffness[:, None]) @ axes.swapaxes(1, 2)
         self._inverse.reshape(-1, dim, dim)[status.held] = of_held
 
@@ -296,8 +302,10 @@ class _Direction:
 
     def add(self, factor: float, other: _Direction) -> None:
         """Add a multiple of another direction, in place."""
-        for array, added in zip(vars(self).values(), vars(other).values(), strict=True):
-            array += factor * added
+        # without a product of long vectors, which would be the peak of memory of a whole solve
+        linalg.blas.daxpy(other.values, self.values, a=factor)
+        linalg.blas.daxpy(other.image, self.image, a=factor)
+        np.add(self.at_contact, factor * other.at_contact, out=self.at_contact)
 
     def scale(self, factor: float) -> None:
         """Multiply all arrays by a factor, in place."""

@@ -318,7 +318,7 @@ class Examiner:
         if self.sizes.prescribed:
             unknowns = np.where(discrete.fixed, 0.0, solved)
             # a row sums terms of the size of its diagonal times its displacement
-            floor = ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
+            floor = ROUNDING * euclidean_norm(discrete.rows.diagonal() * unknowns)
             if size <= floor and self.sizes.nothing_strains(contact_norm, floor, unknowns):
                 return 0.0
         return ratio(size, self.sizes.forces(unknowns, contact_norm))

@@ -191,7 +191,7 @@ class Multigrid:
         3
         """
         discrete = hierarchy.finest.discrete
-        run = Run(unit=discrete.matrix.nnz)
+        run = Run(unit=discrete.rows.nonzeros)
         return Cycles(run, self.prepared(hierarchy, run).cycle_of_states(), discrete.n_dofs)
 
     def prepared(

@@ -134,7 +134,7 @@ def solve(
     exact = displacement_argument("reference", reference, discrete)
     first = start_argument(start, discrete)
     run = Run(
-        unit=discrete.matrix.nnz,
+        unit=discrete.rows.nonzeros,
         callback=_watched(callback, progress),
         reference=exact,
         timings={} if grids is posed_grids else dict(grids.timings),

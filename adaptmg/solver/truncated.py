@@ -272,7 +272,7 @@ class TruncatedCycles:
     def set_aside(self, state: TruncatedState) -> TruncatedState:
         """Free what only further steps read, if it is much: half of the matrix, which is made again
         from the whole one, and past iterates, without which recombination starts again."""
-        large = self.parts.matrix.set_aside(self.problem.matrix, self.problem.fixed)
+        large = self.parts.matrix.set_aside(self.problem.rows, self.problem.fixed)
         return with_fields(state, past=()) if large else state
 
 
@@ -438,10 +438,13 @@ class TruncatedRun:
         )
         stop = TruncatedTest(cycles, self.rtol, self.max_cycles, self.run)
         with self.run.phase("cycles"):
-            first = parts.begin(start)
-            del start  # long vectors limit the size of a problem
-            # no variable refers to the first state: the test may release its large arrays
-            state, status = iterate(cycles.step, cycles.measure, cycles.step(first), stop, self.run)
+            # no variable refers to the start and the first state, whose long vectors limit the size of a
+            # problem
+            begun = [parts.begin(start)]
+            del start
+            state, status = iterate(
+                cycles.step, cycles.measure, cycles.step(begun.pop()), stop, self.run
+            )
         # another method takes over, but neither where the residual is rounding nor where the tolerance,
         # that of the discretisation, is not known yet
         failed = (
@@ -518,7 +521,7 @@ class TruncatedRun:
         except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
             _LOG.info("coarsest level: the active set method gives up: %s", error)
             return [problem.with_prescribed(np.zeros(problem.n_unknowns))]
-        self.run.count(passes, problem.matrix.nnz)
+        self.run.count(passes, problem.rows.nonzeros)
         self.run.visit(0, "solve", steps)
         return [solution]
 

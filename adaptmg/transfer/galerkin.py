@@ -10,8 +10,8 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread, seeded
+from adaptmg.discrete.block_rows import diagonal_places
 from adaptmg.discrete.contact_nodes import checked_mask
-from adaptmg.discrete.problem import diagonal_places
 from adaptmg.mesh.arrays import mask_of
 
 

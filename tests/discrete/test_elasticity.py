@@ -10,9 +10,12 @@ import pytest
 from bisected_meshes import shaken
 from made_bodies import joined
 from refused import refused
+from scipy import sparse
 from two_materials import BOTH_ELEMENTS, EACH_KIND, KINDS, MESHES
 
 import adaptmg as am
+from adaptmg.discrete.block_rows import BlockRows
+from adaptmg.discrete.elasticity import dofs_of, repeated_rows
 from adaptmg.discrete.loads import supported_stiffness
 from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.stress import StressData, hoop_strain
@@ -197,6 +200,21 @@ def test_a_large_lattice_has_the_matrix_of_the_same_mesh_numbered_at_random(name
     assert len(matrix.indices) == expected.nnz / mesh.dim**2
     assert matrix.has_sorted_indices and matrix.indptr.dtype == np.int32
     assert abs(matrix - matrix.T).max() == 0.0
+    repeated = repeated_rows(mesh, material, elements)
+    stored = BlockRows.of(matrix)
+    assert repeated.nonzeros == stored.nonzeros == matrix.nnz
+    np.testing.assert_array_equal(repeated.diagonal(), matrix.diagonal())
+    np.testing.assert_array_equal(repeated.last_columns(), stored.last_columns())
+    vector = rng.random(matrix.shape[0])
+    np.testing.assert_array_equal(repeated.times(vector), matrix @ vector)
+    nodes = rng.permutation(mesh.n_nodes)[:50]
+    for rows in (repeated, stored):
+        places, columns, of_nodes = rows.entries(nodes)
+        blocks = rows.data.reshape(-1, mesh.dim, mesh.dim)[places]
+        indptr = np.append(0, np.cumsum(np.bincount(of_nodes)))
+        shape = mesh.dim * len(nodes), matrix.shape[1]
+        some = sparse.bsr_array((blocks, columns, indptr), shape=shape).toarray()
+        np.testing.assert_array_equal(some, matrix.tocsr()[dofs_of(nodes, mesh.dim)].toarray())
 
 
 def test_glued_bodies_move_together():

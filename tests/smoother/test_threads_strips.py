@@ -11,6 +11,7 @@ from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg import _threads as threads
+from adaptmg.discrete.block_rows import BlockRows
 from adaptmg.multigrid import split_matrix
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.smoother import blocks
@@ -43,7 +44,7 @@ def shuffled(dim: int, seed: int | None) -> sparse.bsr_array:
 def test_strips_of_a_colour_have_no_common_neighbour(dim, seed):
     am.set_threads(2)
     matrix = shuffled(dim, seed)
-    strips = strips_module.Strips.of(matrix.indptr, matrix.indices, dim * dim)
+    strips = strips_module.Strips.of(BlockRows.of(matrix))
     assert len(strips.colours) == 2 and sum(map(len, strips.colours)) > strips_module.FEWEST
     np.testing.assert_array_equal(strips.order[strips.rank], np.arange(len(strips.order)))
     covered = [
@@ -181,7 +182,7 @@ def test_parts_cover_the_rows_and_pass_errors_on():
         threads.in_parts(mark, 999, 10**6)
     assert (seen == 1).all()
     matrix, v = shuffled(3, None), np.random.default_rng(0).normal(size=10125)
-    np.testing.assert_array_equal(strips_module.product(matrix, v), matrix @ v)
+    np.testing.assert_array_equal(BlockRows.of(matrix).times(v), matrix @ v)
 
 
 def test_rows_that_scatter_at_the_same_time_share_no_column():

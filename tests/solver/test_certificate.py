@@ -470,7 +470,7 @@ def test_the_coarse_correction_is_galerkins(grids):
     dense, residual = discrete.matrix.toarray(), np.random.default_rng(0).standard_normal(n * dim)
     blocks = np.stack([np.diag(row) for row in discrete.matrix.diagonal().reshape(n, dim)])
     coarse = np.zeros(n * dim)
-    correction = CoarseCorrection(discrete.matrix, aggregates, every, kept, every, blocks)
+    correction = CoarseCorrection(discrete.rows, aggregates, every, kept, every, blocks)
     correction.add(residual, coarse)
     basis = aggregates.span(kept).toarray()
     dense += np.diag(np.diag(dense))

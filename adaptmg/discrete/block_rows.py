@@ -1,0 +1,199 @@
+"""The rows of a matrix in blocks; those that repeat one another are stored once.
+
+The rows of a stored matrix are those of its table. The table of a lattice in one material has a row
+for each kind of node, at most 9 in the plane and 27 in space (of smoothed elements 25 and 125), whose
+columns count from the node: row i of the matrix has the blocks of row ``kinds[i]`` of the table, in
+columns i + ``indices``. It stays in the cache of the processor, and the matrix, of 112 bytes a dof in
+the plane and 360 in space, is made only for who asks for it. Kernels read both kinds of tables by
+:func:`table_row` and :func:`table_column`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg._numba import ZERO, inner_kernel, kernel, read_only
+from adaptmg._threads import in_parts
+
+
+@dataclass(frozen=True, eq=False)
+class BlockRows:
+    """The rows of a matrix of ``dim`` x ``dim`` blocks; columns are sorted."""
+
+    dim: int
+    kinds: (
+        np.ndarray
+    )  # (n_nodes,) uint8: the row of the table that each row repeats; (0,): row i is row i
+    indptr: np.ndarray  # int: of the table
+    indices: np.ndarray  # int: block columns in the table; with ``kinds`` they count from the row
+    data: np.ndarray  # blocks of the table, row by row, flat
+
+    @classmethod
+    def of(cls, matrix: sparse.bsr_array | BlockRows) -> BlockRows:
+        """Return the rows of a stored matrix, which share its arrays; rows unchanged."""
+        if isinstance(matrix, BlockRows):
+            return matrix
+        result = cls(
+            dim=matrix.blocksize[0],
+            kinds=np.empty(0, dtype=np.uint8),
+            indptr=read_only(matrix.indptr),
+            indices=read_only(matrix.indices),
+            data=matrix.data.reshape(-1),
+        )
+        result.__dict__["matrix"] = matrix
+        return result
+
+    @cached_property
+    def matrix(self) -> sparse.bsr_array:
+        """Return the matrix, which is made of a table when it is first read."""
+        indptr = np.zeros(self.n_nodes + 1, dtype=np.int64)
+        np.cumsum(np.diff(self.indptr)[self.kinds], out=indptr[1:])
+        indices = np.empty(indptr[-1], dtype=np.int32)
+        data = np.empty((len(indices), self.dim, self.dim))
+        in_parts(
+            _repeat,
+            self.n_nodes,
+            data.size,
+            ZERO[self.dim],
+            *self.arrays,
+            indptr,
+            indices,
+            data.reshape(-1),
+        )
+        return frozen_matrix(data, indices, indptr)
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return what kernels read."""
+        return self.kinds, self.indptr, self.indices, self.data
+
+    @property
+    def n_nodes(self) -> int:
+        return len(self.kinds) or len(self.indptr) - 1
+
+    @cached_property
+    def nonzeros(self) -> int:
+        """Return the number of stored entries of the matrix."""
+        blocks = np.diff(self.indptr)
+        if len(self.kinds):
+            blocks = blocks * np.bincount(self.kinds, minlength=len(blocks))
+        return int(blocks.sum()) * self.dim**2
+
+    @cached_property
+    def diagonal_places(self) -> np.ndarray:
+        """Return the places (n_nodes,) of the diagonal blocks in the table."""
+        if len(self.kinds):
+            return np.flatnonzero(self.indices == 0).astype(np.int32)[self.kinds]
+        return diagonal_places(self.matrix)
+
+    def diagonal_blocks(self, nodes: np.ndarray) -> np.ndarray:
+        """Return the diagonal blocks (n, dim, dim) of nodes."""
+        blocks = self.data.reshape(-1, self.dim, self.dim)
+        return blocks.take(self.diagonal_places[nodes], axis=0)
+
+    def diagonal(self) -> np.ndarray:
+        """Return the diagonal (n_dofs,)."""
+        entries = self.data.reshape(-1, self.dim**2)[:, :: self.dim + 1]
+        return entries.take(self.diagonal_places, axis=0).reshape(-1)
+
+    def last_columns(self) -> np.ndarray:
+        """Return the last block column (n_nodes,) of each row."""
+        columns = self.indices[self.indptr[1:] - 1]
+        if len(self.kinds):
+            return np.arange(self.n_nodes, dtype=np.int32) + columns[self.kinds]
+        return columns
+
+    def entries(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the blocks in the rows of nodes (n,): their places in the table, their columns, and the
+        places of their rows among the nodes."""
+        table_rows = self.kinds[nodes] if len(self.kinds) else nodes
+        starts = self.indptr[table_rows]
+        counts = self.indptr[table_rows + np.intp(1)] - starts
+        rows = np.repeat(np.arange(len(nodes)), counts)
+        # from each start on, as many as the row has
+        places = np.arange(len(rows)) + (starts - np.append(0, np.cumsum(counts)[:-1]))[rows]
+        columns = self.indices[places]
+        return places, columns + nodes[rows] if len(self.kinds) else columns, rows
+
+    def times(self, vector: np.ndarray) -> np.ndarray:
+        """Return the product (n_dofs,) with a vector, summed as scipy does."""
+        result = np.empty(self.dim * self.n_nodes)
+        data = read_only(self.data)
+        in_parts(
+            _multiply,
+            self.n_nodes,
+            self.nonzeros,
+            ZERO[self.dim],
+            *self.arrays[:3],
+            data,
+            vector,
+            result,
+        )
+        return result
+
+
+def frozen_matrix(data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> sparse.bsr_array:
+    """Return the matrix of sorted blocks (n, dim, dim), whose pattern is frozen."""
+    if len(indices) < 2**31:
+        indptr = indptr.astype(np.int32)
+    for array in (indices, indptr):
+        array.flags.writeable = False
+    n_dofs = data.shape[1] * (len(indptr) - 1)
+    matrix = sparse.bsr_array((data, indices, indptr), shape=(n_dofs, n_dofs), copy=False)
+    matrix.has_sorted_indices = True
+    return matrix
+
+
+def diagonal_places(matrix: sparse.bsr_array) -> np.ndarray:
+    """Return the places (n_nodes,) of the diagonal blocks of a matrix, which has them all."""
+    numbers = np.arange(len(matrix.indices), dtype=np.int32)
+    n = len(matrix.indptr) - 1
+    return sparse.csr_array((numbers, matrix.indices, matrix.indptr), shape=(n, n)).diagonal()
+
+
+@inner_kernel(forceinline=True)
+def table_row(kinds, i):
+    """Return the row of the table that row i repeats, and what its columns count from."""
+    if len(kinds) > 0:
+        return np.uint64(kinds[i]), np.int64(i)
+    return i, np.int64(0)
+
+
+@inner_kernel(forceinline=True)
+def table_column(origin, indices, p):
+    """Return the column of block p of the table in a row whose columns count from ``origin``."""
+    return np.uint64(origin + indices[p])
+
+
+@kernel
+def _repeat(first, last, zero, kinds, starts, columns, blocks, indptr, indices, data):
+    """Write the rows of a matrix."""
+    one = np.uint64(1)
+    size = np.uint64(len(zero) ** 2)
+    for i in range(np.uint64(first), np.uint64(last)):
+        row, origin = table_row(kinds, i)
+        at = np.uint64(indptr[i])
+        for p in range(np.uint64(starts[row]), np.uint64(starts[row + one])):
+            indices[at] = table_column(origin, columns, p)
+            for a in range(size):
+                data[size * at + a] = blocks[size * p + a]
+            at += one
+
+
+@kernel
+def _multiply(first, last, zero, kinds, indptr, indices, data, v, result):
+    """Write the rows of nodes first, ..., last - 1 of A v to ``result``; ``zero`` is ZERO[dim]."""
+    dim = np.uint64(len(zero))
+    one = np.uint64(1)
+    for i in range(np.uint64(first), np.uint64(last)):
+        row, origin = table_row(kinds, i)
+        for a in range(dim):
+            total = 0.0
+            for k in range(np.uint64(indptr[row]), np.uint64(indptr[row + one])):
+                j = table_column(origin, indices, k)
+                for b in range(dim):
+                    total += data[dim * (dim * k + a) + b] * v[dim * j + b]
+            result[dim * i + a] = total
