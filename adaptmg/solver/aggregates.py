@@ -32,7 +32,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
-from adaptmg._numba import kernel, prefetch
+from adaptmg._numba import kernel, prefetch, read_only
 from adaptmg.discrete.block_rows import BlockRows, table_column, table_row
 from adaptmg.discrete.coordinates import block_diagonal, frames_of, from_frames, to_frames
 from adaptmg.discrete.elasticity import dofs_of, nodal_matrix, rotations
@@ -67,9 +67,10 @@ _ENOUGH = 1e-4
 
 
 @kernel
-def _grow(kinds, indptr, indices, group, sizes, most_deep, label, queue, depth):
-    """Number the aggregates in ``label`` by breadth-first search inside groups; returns their
-    number. ``queue`` and ``depth`` (n_nodes,) are overwritten."""
+def _grow(kinds, indptr, indices, group, sizes, most_deep, label, queue, depth, members, group_of):
+    """Number the aggregates in ``label`` by breadth-first search inside groups, and write the number of
+    their nodes and their groups; return their number. ``queue`` and ``depth`` (n_nodes,) are
+    overwritten."""
     n = len(group)
     count = 0
     for seed in range(n):
@@ -81,7 +82,7 @@ def _grow(kinds, indptr, indices, group, sizes, most_deep, label, queue, depth):
         depth[seed] = 0
         head = 0
         tail = 1
-        while head < tail:  # each node enters the queue once
+        while head < tail < size:  # each node enters the queue once
             i = queue[head]
             head += 1
             if depth[i] == most_deep:
@@ -94,21 +95,26 @@ def _grow(kinds, indptr, indices, group, sizes, most_deep, label, queue, depth):
                     depth[j] = depth[i] + 1
                     queue[tail] = j
                     tail += 1
+        members[count] = tail
+        group_of[count] = group[seed]
         count += 1
     return count
 
 
-def _joined(rows: BlockRows, label: np.ndarray, group: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def _joined(
+    rows: BlockRows,
+    label: np.ndarray,
+    members: np.ndarray,
+    group_of: np.ndarray,
+    sizes: np.ndarray,
+) -> np.ndarray:
     """Return the labels after small aggregates (remnants) have joined their smallest neighbour in the
-    same group."""
-    inside = label >= 0
-    members = np.bincount(label[inside])
-    group_of = np.zeros(label.max(initial=-1) + 1, dtype=np.int32)
-    group_of[label[inside]] = group[inside]
+    same group; ``members`` and ``group_of`` (n_aggregates,) are numbers of nodes and groups."""
     remnant = _REMNANT * members < sizes[group_of]
-    nodes = np.flatnonzero(inside & remnant[label])
-    if not len(nodes):
+    if not remnant.any():
         return label
+    # a label of -1, of nodes in no aggregate, takes the last entry
+    nodes = np.flatnonzero(np.append(remnant, False).take(label))
     _, columns, places = rows.entries(nodes)
     # (n_edges,): the remnant at one end of an edge, and the aggregate at its other end
     aggregate = label[nodes[places]]
@@ -121,7 +127,7 @@ def _joined(rows: BlockRows, label: np.ndarray, group: np.ndarray, sizes: np.nda
     joined_to = np.arange(len(members))
     joined_to[aggregate[order]] = neighbour[order]
     new_number = np.cumsum(joined_to == np.arange(len(joined_to)), dtype=np.int32) - 1
-    return np.where(inside, new_number[joined_to[label]], -1)
+    return np.append(new_number[joined_to], np.int32(-1)).take(label)
 
 
 @kernel
@@ -189,18 +195,15 @@ class Aggregates:
         # (n_groups,): nodes of an aggregate in a body, and in its contact nodes, a surface
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], n_bodies)
         label = np.full(n, -1, dtype=np.int32)
-        _grow(
-            *rows.arrays[:3],
-            group,
-            sizes,
-            depth,
-            label,
-            *np.empty((2, n), dtype=np.int32),
-        )
-        label = _joined(rows, label, group, sizes)
+        queue, depths, members, group_of = np.empty((4, n), dtype=np.int32)
+        graph = rows.arrays[:3]
+        count = _grow(*graph, group, sizes, depth, label, queue, depths, members, group_of)
+        label = _joined(rows, label, members[:count], group_of[:count], sizes)
         self.count = int(label.max(initial=-1)) + 1
         points = np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates
-        self.offsets = _offsets(points[:, :dim], label, self.count)
+        self.offsets = np.empty((n, dim))
+        flat_points = read_only(points[:, :dim].reshape(-1))
+        _place(ZERO[dim], flat_points, label, self.count, self.offsets.reshape(-1))
         place, self.width = _narrow_order(rows, label, self.count)
         #: (n_nodes,): places of aggregates in this order, -1 at wholly fixed nodes: a label of -1 takes
         #: the last entry
@@ -221,18 +224,31 @@ class Aggregates:
         )
 
 
-def _offsets(points: np.ndarray, label: np.ndarray, count: int) -> np.ndarray:
-    """Return the offsets (n, dim) of points from the centre of their aggregate, over its extent (root
-    of the mean square)."""
-    # 0: in no aggregate. Indices of numpy's kind: others are converted by each call
-    number = label.astype(np.intp) + 1
-    members = np.maximum(np.bincount(number, minlength=count + 1), 1)
-    centres = np.stack([np.bincount(number, x, count + 1) for x in points.T]) / members
-    offsets = points - centres.T.take(number, axis=0)
-    squares = np.einsum("nd,nd->n", offsets, offsets)
-    extent = np.sqrt(np.bincount(number, squares, count + 1) / members)
-    offsets /= np.where(extent > 0, extent, 1.0).take(number)[:, None]
-    return offsets
+@kernel
+def _place(zero, points, label, count, offsets):
+    """Write the offsets (n_nodes * dim,) of points from the centre of their aggregate, over its extent
+    (root of the mean square), 0 in no aggregate; ``zero`` is ZERO[dim]."""
+    dim = len(zero)
+    members = np.zeros(count)
+    centres = np.zeros((count, dim))
+    squares = np.zeros(count)
+    for node in range(len(label)):
+        if label[node] >= 0:
+            members[label[node]] += 1.0
+            for k in range(dim):
+                centres[label[node], k] += points[dim * node + k]
+    for node in range(len(label)):
+        for k in range(dim):
+            at = dim * node + k
+            offsets[at] = 0.0
+            if label[node] >= 0:
+                offsets[at] = points[at] - centres[label[node], k] / members[label[node]]
+                squares[label[node]] += offsets[at] ** 2
+    for node in range(len(label)):
+        if label[node] >= 0 and squares[label[node]] > 0.0:
+            extent = np.sqrt(squares[label[node]] / members[label[node]])
+            for k in range(dim):
+                offsets[dim * node + k] /= extent
 
 
 aggregates_of = remembered_of_structure(Aggregates)

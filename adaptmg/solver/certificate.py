@@ -383,14 +383,12 @@ class Evidence:
         terms = np.abs(diagonal * self.u)
         self.rounding = 8 * _EPSILON * _norm(terms)
         self.energy_rounding = 32 * _EPSILON * float(np.sqrt(_sum(terms, np.abs(self.u))))
-
-    @property
-    def idle(self) -> bool:
-        """Return whether the forces of all stresses are rounding: supports move the bodies, and
-        nothing strains them."""
-        # as Sizes.nothing_strains, with its factors: nothing here comes from the solvers
-        moved = float(np.abs(self.problem.fixed_values).max(initial=0.0))
-        return moved > 0.0 and self.internal <= 1e3 * self.rounding and self.length <= 10 * moved
+        # whether the forces of all stresses are rounding: supports move the bodies, and nothing strains
+        # them. As Sizes.nothing_strains, with its factors: nothing here comes from the solvers
+        moved = float(np.abs(problem.fixed_values).max(initial=0.0))
+        self.idle = (
+            moved > 0.0 and self.internal <= 1e3 * self.rounding and self.length <= 10 * moved
+        )
 
     def lines(self) -> tuple[Condition, ...]:
         """Return all conditions."""

@@ -407,7 +407,8 @@ class TruncatedRun:
         fine_level.prolong(change, displacement)
         pressures = prolonged_pressures(coarse, fine, fine_level.prolongation, pressures)
         # admissible at fixed dofs
-        start = fine.from_prescribed(np.append(displacement, pressures))
+        whole = np.append(displacement, pressures) if len(pressures) else displacement
+        start = fine.from_prescribed(whole)
         return [*solutions, fine.with_prescribed(start)]
 
     def _extrapolation(self, number: int) -> float:
