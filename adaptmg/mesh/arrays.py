@@ -68,6 +68,7 @@ class Refinement:
     parents: np.ndarray  # (n_nodes, 2) int32: a new node is halfway between them
     marks: np.ndarray  # (n_elements,) int8: marked edges of tetrahedra; 0 of triangles
     generation: np.ndarray  # (n_elements,) int16: how many bisections lead to the element
+    initial: np.ndarray  # the elements of the initial mesh, whose nodes come first
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -543,6 +544,18 @@ def need_mesh(owner: HasMesh) -> MeshArrays:
             "problem on meshes (Hierarchy.uniform, graded or from_meshes)"
         )
     return owner.mesh
+
+
+def initial_elements(mesh: MeshArrays) -> np.ndarray:
+    """Return the elements of the initial mesh that a mesh was bisected from."""
+    return mesh.elements if mesh.refinement is None else mesh.refinement.initial
+
+
+def parents_of(mesh: MeshArrays) -> np.ndarray:
+    """Return the parents (n_nodes, 2) of each node; those of a node of the initial mesh are itself."""
+    if mesh.refinement is not None:
+        return mesh.refinement.parents
+    return np.repeat(np.arange(mesh.n_nodes, dtype=np.int32), 2).reshape(-1, 2)
 
 
 def trusted(mesh: MeshArrays, sound: bool = True) -> MeshArrays:

@@ -40,7 +40,9 @@ from adaptmg.mesh.arrays import (
     Refinement,
     element_facets,
     facet_keys,
+    initial_elements,
     mask_of,
+    parents_of,
     sound_by_construction,
     trusted,
 )
@@ -125,7 +127,7 @@ def bisect(
     fine = refined(
         mesh, marked, None if passes is None else checks.integer("passes", passes, 1)
     ).mesh
-    parents = _parents(fine).astype(np.int64)
+    parents = parents_of(fine).astype(np.int64)
     parents[: mesh.n_nodes] = np.arange(mesh.n_nodes)[:, None]
     return fine, parents
 
@@ -260,17 +262,10 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
     points = np.empty((n_nodes, mesh.dim))
     points[: mesh.n_nodes] = mesh.points
     _halfway(points, mesh.n_nodes, nodes)
-    parents = np.concatenate([_parents(mesh), nodes[mesh.n_nodes : n_nodes, [_LOW, _HIGH]]])
+    parents = np.concatenate([parents_of(mesh), nodes[mesh.n_nodes : n_nodes, [_LOW, _HIGH]]])
     # in the order of the elements they come from: neighbours stay near
     cells = cells[np.argsort(cells[:n_cells, -1], kind="stable")]
     return Refined(mesh=_mesh_of(mesh, points, parents, cells), origin=cells[:, -1].copy())
-
-
-def _parents(mesh: MeshArrays) -> np.ndarray:
-    """Return the parents (n_nodes, 2) of each node; those of a node of the initial mesh are itself."""
-    if mesh.refinement is not None:
-        return mesh.refinement.parents
-    return np.repeat(np.arange(mesh.n_nodes, dtype=np.int32), 2).reshape(-1, 2)
 
 
 def _generations(mesh: MeshArrays) -> np.ndarray:
@@ -354,7 +349,12 @@ def _mesh_of(
         before.element_body[origin[:, 0]],
         before.bodies,
     )
-    history = Refinement(parents, marks[:, 0].astype(np.int8), generation[:, 0].astype(np.int16))
+    history = Refinement(
+        parents,
+        marks[:, 0].astype(np.int8),
+        generation[:, 0].astype(np.int16),
+        initial_elements(before),
+    )
     return with_refinement(sound_by_construction(mesh), history)
 
 

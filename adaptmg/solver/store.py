@@ -44,7 +44,7 @@ from adaptmg.solver.fingerprint import value_parts
 
 Kinds = tuple[type[Any], ...]
 
-_FORMAT = 5
+_FORMAT = 6
 _META = "meta"  # name of the array that holds the JSON text
 #: the head of a path of a million steps has some 20 MB
 _MOST_BYTES = 2**28

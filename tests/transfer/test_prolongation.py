@@ -2,20 +2,24 @@
 relative values."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
+from bisected_meshes import SQUARE, crooked, cube, random_mask
 from bodies import LOWER_ON_UPPER, UPPER_ON_LOWER, bar_on_block, corner_pushed, turned
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from refused import refused
 from saddle import Parts
 from scipy import sparse
+from scipy.spatial import Delaunay
 from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
 from smoother_problems import expand
 
 import adaptmg as am
 from adaptmg.geometry.quadrature import simplex_rule
+from adaptmg.mesh.bisection import with_refinement
 from adaptmg.multigrid.split_matrix import is_galerkin
 from adaptmg.transfer.contact import between_levels
 from adaptmg.transfer.projections import mass_matrix, mixed_mass
@@ -94,6 +98,16 @@ ON_PLATE = am.Assembly(
 LONGER = replace(PLATE, width=0.31)  # by less than what may lie outside
 
 
+def assert_interpolated_as_by_search(*meshes):
+    # copies do not know how they were made
+    known, searched = (
+        am.Interpolation().build(*pair) for pair in (meshes, [replace(mesh) for mesh in meshes])
+    )
+    np.testing.assert_array_equal(known.indptr, searched.indptr)
+    np.testing.assert_array_equal(known.indices, searched.indices)
+    np.testing.assert_allclose(known.data, searched.data, rtol=0, atol=1e-14)
+
+
 @pytest.mark.parametrize(
     ("domain", "coarse", "fine"),
     [
@@ -112,12 +126,34 @@ def test_structured_meshes_are_interpolated_as_by_search(domain, coarse, fine):
         am.mesh.structured(own, divisions)
         for own, divisions in zip(domains, (coarse, fine), strict=True)
     ]
-    known, searched = (
-        am.Interpolation().build(*pair) for pair in (meshes, [replace(mesh) for mesh in meshes])
-    )
-    np.testing.assert_array_equal(known.indptr, searched.indptr)
-    np.testing.assert_array_equal(known.indices, searched.indices)
-    np.testing.assert_allclose(known.data, searched.data, rtol=0, atol=1e-14)
+    assert_interpolated_as_by_search(*meshes)
+
+
+def thrice_bisected(mesh):
+    meshes = [mesh]
+    for seed in range(3):
+        mask = random_mask(meshes[-1], 0.3, seed)
+        meshes.append(am.mesh.bisect(meshes[-1], mask, passes=seed + 1)[0])
+    return meshes
+
+
+@pytest.mark.parametrize("mesh", [crooked(SQUARE), crooked(cube(2))], ids=["2D", "3D"])
+def test_bisected_meshes_are_interpolated_as_by_search(mesh):
+    for pair in combinations(thrice_bisected(mesh), 2):
+        assert_interpolated_as_by_search(*pair)
+
+
+def test_meshes_that_are_not_nested_are_searched_although_one_is_bisected():
+    mesh = crooked(SQUARE)
+    fine = thrice_bisected(mesh)[-1]
+    other_diagonals = mesh_of(mesh.points, Delaunay(mesh.points).simplices)
+    assert_interpolated_as_by_search(other_diagonals, fine)
+    other_nodes, _ = am.mesh.bisect(mesh, random_mask(mesh, 0.2, 8))
+    assert_interpolated_as_by_search(other_nodes, fine)
+    points = fine.points.copy()
+    points[-1] += 1e-3
+    moved = with_refinement(replace(fine, points=points), fine.refinement)
+    assert_interpolated_as_by_search(mesh, moved)
 
 
 @settings(max_examples=30, deadline=None)
