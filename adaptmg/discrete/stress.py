@@ -53,6 +53,7 @@ from adaptmg.discrete.moduli import (
     isotropic,
     lame_constants,
     moduli,
+    strain_columns,
 )
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays, places_of
@@ -79,10 +80,12 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     """Return the gradients d u_i / d x_j (n_elements, dim, dim)."""
     slopes, _ = shape_gradients(mesh)
-    corners = _nodal(mesh, displacement).take(mesh.elements, axis=0)
-    gradients = np.empty((len(corners), mesh.dim, mesh.dim))
-    for i, j in np.ndindex(mesh.dim, mesh.dim):  # three times as fast as products of small matrices
-        gradients[:, i, j] = np.einsum("nk,nk->n", corners[:, :, i], slopes[:, :, j])
+    u = _nodal(mesh, displacement)
+    gradients = np.empty((len(slopes), mesh.dim, mesh.dim))
+    for i in range(mesh.dim):  # three times as fast as products of small matrices
+        corners = u[:, i].take(mesh.elements)
+        for j in range(mesh.dim):
+            gradients[:, i, j] = np.einsum("nk,nk->n", corners, slopes[:, :, j])
     return gradients
 
 
@@ -193,8 +196,14 @@ class StressData:
     def tensors(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Return the stress tensors (n_elements, 3, 3) as of :func:`full_stress`; where there are
         plastic bodies those of the displacement of the result."""
+        return as_tensors(self.columns(mesh, displacement))
+
+    def columns(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
+        """Return the components (n_elements, 2 dim) of these tensors in the order of
+        :mod:`adaptmg.discrete.moduli`."""
         if self.plastic is not None:
-            return self.plastic.stress.copy()
+            i, j = PAIRS[: 2 * mesh.dim].T
+            return self.plastic.stress[:, i, j]
         return self._stress(mesh, self._elastic(mesh, displacement))
 
     def strains(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
@@ -204,10 +213,11 @@ class StressData:
         thin = self.thin[mesh.element_body]
         if thin.any():
             # the row zz of sheets gives this strain, not a stress
-            strain[thin, 2, 2] = self.of_elements(mesh).stress(strain)[thin, 2]
+            strain[thin, 2] = self.of_elements(mesh).stress(strain)[thin, 2]
         if len(self.initial_strain):
-            strain[:, np.arange(3), np.arange(3)] += self.initial_strain
-        return strain
+            strain[:, :3] += self.initial_strain
+        strain[:, 3:] *= 0.5  # angles
+        return as_tensors(strain)
 
     def suppressed(self, mesh: MeshArrays) -> float:
         """Return twice the energy of the stresses that suppress the initial strains, N m: the square
@@ -215,9 +225,10 @@ class StressData:
         bodies stresses in the plane count, as no displacement changes the others."""
         of_elements = self.of_elements(mesh)
         volume = element_measures(mesh, self.axisymmetric)
-        strain = self.initial_strain.copy()
+        strain = np.zeros((len(volume), 2 * mesh.dim))
+        strain[:, :3] = self.initial_strain
         strain[self.thin[mesh.element_body], 2] = 0.0  # sheets are free to become thicker
-        stress = of_elements.stress(strain[:, :, None] * np.eye(3))
+        stress = of_elements.stress(strain)
         plane = mesh.dim == 2 and not self.axisymmetric
         if plane:
             stress = stress[:, [0, 1, 3]]  # xx, yy and xy: without zz
@@ -230,17 +241,14 @@ class StressData:
         elastic strains."""
         if self.plastic is not None:
             whole = replace(self, smoothed=False).of_elements(mesh)
-            i, j = PAIRS[: 2 * mesh.dim].T
-            stress = self.plastic.stress[:, i, j]
+            stress = self.columns(mesh, displacement)
             work = whole.work(stress, stress, plane=False)
             return 0.5 * float(element_measures(mesh, self.axisymmetric) @ work)
         elastic = self._elastic(mesh, displacement)
         u = _nodal(mesh, displacement)
         stress = replace(self, pressure=None)._stress(mesh, elastic)
         volumes = element_measures(mesh, self.axisymmetric)
-        energy = (
-            0.5 * float(np.einsum("n,nij,nij->", volumes, stress, elastic)) + self.volume_energy
-        )
+        energy = 0.5 * float(np.einsum("n,nk,nk->", volumes, stress, elastic)) + self.volume_energy
         if not self.axisymmetric or self.smoothed:
             return energy
         # the energy of hoop strains that vary within elements
@@ -255,7 +263,8 @@ class StressData:
         )
 
     def _elastic(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-        """Return the strain minus initial strain; of plane stress without the strain through the thickness."""
+        """Return the columns of the strain minus initial strain; of plane stress without the strain
+        through the thickness."""
         if len(self.kind) != len(mesh.bodies) or len(self.initial_strain) not in (
             0,
             len(mesh.elements),
@@ -264,27 +273,23 @@ class StressData:
                 f"stress data of {len(self.kind)} bodies and {len(self.initial_strain)} elements do not "
                 f"belong to a mesh of {len(mesh.bodies)} and {len(mesh.elements)}"
             )
-        dim = mesh.dim
-        strain = np.zeros((len(mesh.elements), 3, 3))
-        strain[:, :dim, :dim] = element_strain(mesh, displacement)
+        strain = strain_columns(displacement_gradient(mesh, displacement))
         if self.axisymmetric:
-            strain[:, 2, 2] = hoop_strain(mesh, displacement)
+            strain[:, 2] = hoop_strain(mesh, displacement)
         if len(self.initial_strain):
-            strain[:, np.arange(3), np.arange(3)] -= self.initial_strain
+            strain[:, :3] -= self.initial_strain
         # the tensors of sheets account for the free strain through the thickness
-        strain[self.thin[mesh.element_body], 2, 2] = 0.0
+        strain[self.thin[mesh.element_body], 2] = 0.0
         return strain
 
     def _stress(self, mesh: MeshArrays, strain: np.ndarray) -> np.ndarray:
-        """Return the stresses (n_elements, 3, 3) of elastic strains (n_elements, 3, 3), Pa."""
+        """Return the columns of the stresses of elastic strains, Pa."""
         if self.smoothed:
-            strain = smoothed(
-                mesh, strain.reshape(-1, 9), element_measures(mesh, self.axisymmetric)
-            ).reshape(-1, 3, 3)
-        stress = as_tensors(self.of_elements(mesh).stress(strain))
+            strain = smoothed(mesh, strain, element_measures(mesh, self.axisymmetric))
+        stress = self.of_elements(mesh).stress(strain)
         if self.pressure is not None:
-            stress[:, np.arange(3), np.arange(3)] += self.pressure[:, None]
-        stress[self.thin[mesh.element_body], 2, 2] = 0.0
+            stress[:, :3] += self.pressure[:, None]
+        stress[self.thin[mesh.element_body], 2] = 0.0
         return stress
 
 

@@ -39,7 +39,13 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import Coupling
 from adaptmg.discrete.elasticity import nodes_of_pieces
 from adaptmg.discrete.loads import body_elements, load_vector, spring_elements
-from adaptmg.discrete.moduli import Moduli, as_tensors, body_materials, moduli
+from adaptmg.discrete.moduli import (
+    Moduli,
+    as_tensors,
+    body_materials,
+    moduli,
+    strain_columns,
+)
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem, remembered
 from adaptmg.discrete.supports import node_at
@@ -486,11 +492,10 @@ class Elements:
         moved = displacement[self.cells]
         dim = moved.shape[2]
         gradient = np.swapaxes(moved, 1, 2) @ self.sides / self.measures[:, None, None]
-        strain = np.zeros((len(moved), 3, 3))
-        strain[:, :dim, :dim] = 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
+        strain = strain_columns(gradient)
         if self.radii is not None:
             # u_r / r at the centroid
-            strain[:, 2, 2] = moved[:, :, 0].mean(axis=1) / self.radii
+            strain[:, 2] = moved[:, :, 0].mean(axis=1) / self.radii
         stress = as_tensors(self.moduli.stress(strain))
         forces = self.sides @ stress[:, :dim, :dim]
         if self.radii is not None:
