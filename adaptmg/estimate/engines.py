@@ -428,7 +428,7 @@ def equilibrated_sizes(
     factors = share ** (-1 / (2 + mesh.dim))  # squares fall like size^(2 + dim)
     old = simplex_sizes(mesh)
     count = NodeCount(mesh)
-    edges = _edges(mesh)
+    edges = _edge_lengths(mesh)
 
     @cache
     def sizes(log_c: float) -> np.ndarray:
@@ -452,29 +452,31 @@ def equilibrated_sizes(
     return sizes(brentq(excess, low, high, xtol=1 / n_nodes))
 
 
-def _edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the first and second ends and the lengths, m, of the edges of a mesh."""
+def _edge_lengths(mesh: MeshArrays) -> sparse.csr_array:
+    """Return the lengths of the edges of a mesh, m, as a matrix (n_nodes, n_nodes) with the edge (i, j)
+    in row i < j."""
+    n = mesh.n_nodes
     i, j = (mesh.elements[:, corners].ravel() for corners in np.triu_indices(mesh.dim + 1, 1))
-    keys = np.unique(pair_keys(np.minimum(i, j), np.maximum(i, j), mesh.n_nodes))
-    i, j = np.divmod(keys, mesh.n_nodes)
-    return i, j, np.linalg.norm(mesh.points[i] - mesh.points[j], axis=1)
+    keys = np.unique(pair_keys(np.minimum(i, j), np.maximum(i, j), n))
+    i, j = np.divmod(keys, n)
+    lengths = np.linalg.norm(mesh.points[i] - mesh.points[j], axis=1)
+    start = np.append(0, np.cumsum(np.bincount(i, minlength=n)))
+    return sparse.csr_array((lengths, j.astype(np.int32), start.astype(np.int32)), shape=(n, n))
 
 
 def graded_sizes(
-    mesh: MeshArrays,
-    sizes: np.ndarray,
-    growth: float,
-    edges: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
+    mesh: MeshArrays, sizes: np.ndarray, growth: float, edges: sparse.csr_array | None = None
 ) -> np.ndarray:
     """Return the largest sizes below these that grow by at most ``growth`` per distance along
     edges."""
     n = mesh.n_nodes
-    i, j, lengths = _edges(mesh) if edges is None else edges
+    edges = _edge_lengths(mesh) if edges is None else edges
     # sizes are distances from a further node, whose edge to each of the others is as long as the
-    # size there
-    weights = np.concatenate([growth * lengths, sizes])
-    ends = np.append(i, np.full(n, n)), np.append(j, np.arange(n))
-    graph = sparse.csr_array((weights, ends), shape=(n + 1, n + 1))
+    # size there: its row is the last one
+    weights = np.concatenate([growth * edges.data, sizes])
+    ends = np.concatenate([edges.indices, np.arange(n, dtype=np.int32)])
+    start = np.append(edges.indptr, np.int32(len(weights)))
+    graph = sparse.csr_array((weights, ends, start), shape=(n + 1, n + 1))
     return dijkstra(graph, directed=False, indices=n)[:n]  # pyright: ignore[reportArgumentType]  scipy-stubs
 
 
@@ -494,7 +496,8 @@ class SizeField:
 
         def at(points: np.ndarray) -> np.ndarray:
             place = locator.locate(points)
-            return np.einsum("ij,ij->i", place.weights, self.sizes[mesh.elements[place.element]])
+            corners = mesh.elements.take(place.element, axis=0)
+            return np.einsum("ij,ij->i", place.weights, self.sizes.take(corners))
 
         return at
 

@@ -98,15 +98,25 @@ def affine_maps(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
     """Return the origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim
     * dim), of points (n, 3). Not finite where an element has no volume."""
     dim = elements.shape[1] - 1
-    origin = points[elements[:, 0]]
-    # the gradients are cross products of the edges; in 2D the third edge is the unit vector along z
-    edges = [points[elements[:, m + 1]] - origin for m in range(dim)] + [
-        np.array([[0.0, 0.0, 1.0]])
-    ] * (3 - dim)
-    normals = [np.cross(edges[(m + 1) % 3], edges[(m + 2) % 3])[:, :dim] for m in range(dim)]
+    corners = [[x.take(nodes) for x in points.T[:dim]] for nodes in elements.T]
+    origin = corners[0]
+    # by component of all elements: .5 ms for 20 000 triangles, by numpy.cross 2.2
+    edges = [[x - o for x, o in zip(corner, origin, strict=True)] for corner in corners[1:]]
+    if dim == 2:
+        (a, b), (c, d) = edges
+        normals = [[d, -c], [-b, a]]
+    else:
+        normals = [_cross(edges[m - 2], edges[m - 1]) for m in range(3)]
+    determinant = sum(x * n for x, n in zip(edges[0], normals[0], strict=True))
     with np.errstate(divide="ignore", invalid="ignore"):
-        scale = 1.0 / (edges[0][:, :dim] * normals[0]).sum(axis=1, keepdims=True)
-        return np.hstack([origin[:, :dim], *(scale * normal for normal in normals)])
+        scale = 1.0 / determinant
+        gradients = [scale * component for normal in normals for component in normal]
+    return np.stack([*origin, *gradients], axis=1)
+
+
+def _cross(a: list[np.ndarray], b: list[np.ndarray]) -> list[np.ndarray]:
+    """Return the components of the cross products of vectors given by components."""
+    return [a[k - 2] * b[k - 1] - a[k - 1] * b[k - 2] for k in range(3)]
 
 
 @inner_kernel

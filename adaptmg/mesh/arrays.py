@@ -53,7 +53,8 @@ def _frozen(name: str, array: ArrayLike, dtype: type) -> np.ndarray:
     if data.dtype.kind not in ("iuf" if dtype is np.float64 else "iu") and data.size and not whole:
         what = "real numbers" if dtype is np.float64 else "integers"
         raise TypeError(f"{name} must be an array of {what}, got an array of {data.dtype}")
-    if dtype is np.int32 and data.size and not (data.min() >= -(2**31) and data.max() < 2**31):
+    may_overflow = dtype is np.int32 and data.dtype != np.int32 and data.size
+    if may_overflow and not (data.min() >= -(2**31) and data.max() < 2**31):
         raise ValueError(f"{name} must be below 2**31, got {data.min()} to {data.max()}")
     result = np.array(data, dtype=dtype, order="C")
     result.flags.writeable = False
@@ -715,18 +716,17 @@ def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
 
 def sorted_facet_keys(facets: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the ascending keys (n,) of facets (n, dim) and the order of the facets, equal ones as they
-    come. Edges are sorted by counting: 106 000 of a bisected mesh take 1.2 ms, with a sort of their keys
-    3.1 to 5.2. For facets of solids the sort is as fast on a graded mesh (173 000: 4.3 ms, counting 4.2)
-    and faster on a lattice (648 000: 5.6 ms, counting 22)."""
+    come. One number holds a key and its place if it has bits for both, as up to a million plane and
+    8192 solid nodes: 190 000 edges take 3.6 ms, to sort places by their keys 9.1, by counting 6.7."""
     keys = facet_keys(facets, n_nodes)
-    if facets.shape[1] == 3:
+    bits = len(keys).bit_length()
+    if keys.max(initial=0) >> (63 - bits):
         order = np.argsort(keys, kind="stable")
-    else:
-        first, second = facets.T
-        _, by_highest = occurrences(np.maximum(first, second), n_nodes)
-        _, by_lowest = occurrences(np.minimum(first, second).take(by_highest), n_nodes)
-        order = by_highest.take(by_lowest)
-    return keys.take(order), order
+        return keys.take(order), order
+    keys <<= bits
+    keys |= np.arange(len(keys))
+    keys.sort()
+    return keys >> bits, keys & ((1 << bits) - 1)
 
 
 def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:

@@ -235,7 +235,6 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
     """Bisect the marked elements once, or (``every_edge``) until all their edges are halved, and
     what conformity asks for."""
     n, corners = mesh.elements.shape
-    rows = _rows(mesh)
     sizes = np.array([n, mesh.n_nodes])
     n_cells = -1
     # estimate of new elements over elements, and of new nodes over nodes: an element that is refined
@@ -244,7 +243,8 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
     growth = min(1.0, 2.0 * np.count_nonzero(marked) / n) * children
     while n_cells < 0:  # the tables were too short: again with longer ones
         spare_cells, spare_nodes = (growth * sizes).astype(int) + 16
-        cells = np.concatenate([rows, np.empty((spare_cells, rows.shape[1]), dtype=np.int32)])
+        cells = np.empty((n + spare_cells, 2 * corners + 3), dtype=np.int32)
+        _write_rows(mesh, cells[:n])
         nodes = np.full((mesh.n_nodes + spare_nodes, 4), -1, dtype=np.int32)
         n_cells, n_nodes = _bisected(
             cells,
@@ -256,7 +256,7 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
             every_edge,
             _ORDERS[corners],
             _NEW_MARK,
-            np.empty(rows.shape[1], dtype=np.int64),
+            np.empty(cells.shape[1], dtype=np.int64),
         )
         growth = 2 * growth + 0.5
     points = np.empty((n_nodes, mesh.dim))
@@ -264,7 +264,7 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
     _halfway(points, mesh.n_nodes, nodes)
     parents = np.concatenate([parents_of(mesh), nodes[mesh.n_nodes : n_nodes, [_LOW, _HIGH]]])
     # in the order of the elements they come from: neighbours stay near
-    cells = cells[np.argsort(cells[:n_cells, -1], kind="stable")]
+    cells = cells.take(np.argsort(cells[:n_cells, -1], kind="stable"), axis=0)
     return Refined(mesh=_mesh_of(mesh, points, parents, cells), origin=cells[:, -1].copy())
 
 
@@ -275,8 +275,8 @@ def _generations(mesh: MeshArrays) -> np.ndarray:
     return np.zeros(len(mesh.elements), dtype=np.int16)
 
 
-def _rows(mesh: MeshArrays) -> np.ndarray:
-    """Return the elements as rows of bisection (module docstring); those of a mesh that was never
+def _write_rows(mesh: MeshArrays, rows: np.ndarray) -> None:
+    """Write the elements as rows of bisection (module docstring); those of a mesh that was never
     bisected get their first labels."""
     n, corners = mesh.elements.shape
     cells = mesh.elements
@@ -294,8 +294,11 @@ def _rows(mesh: MeshArrays) -> np.ndarray:
             )
     else:
         marks = mesh.refinement.marks
-    table = [cells, sides, marks, _generations(mesh), np.arange(n)]
-    return np.column_stack(table).astype(np.int32)
+    rows[:, :corners] = cells
+    rows[:, corners : 2 * corners] = sides
+    rows[:, -3] = marks
+    rows[:, -2] = _generations(mesh)
+    rows[:, -1] = np.arange(n)
 
 
 def _sides(mesh: MeshArrays) -> np.ndarray:

@@ -301,11 +301,11 @@ CLIP = 1e-10
 def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -> sparse.csr_array:
     """Return sparse rows from a fixed number of weights each: sorted, without those below ``CLIP``,
     with sums 1."""
-    order = np.argsort(columns, axis=1)
     weights = np.where(weights < CLIP, 0.0, weights)
     weights = weights / weights.sum(axis=1, keepdims=True)
-    columns, weights = (np.take_along_axis(part, order, axis=1) for part in (columns, weights))
-    return _rows(columns.astype(np.int32), weights, weights > 0, n_columns)
+    result = _rows(columns.astype(np.int32), weights, weights > 0, n_columns)
+    result.sort_indices()
+    return result
 
 
 def dropped(matrix: sparse.csr_array, tolerance: float) -> sparse.csr_array:
