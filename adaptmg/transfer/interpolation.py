@@ -183,8 +183,8 @@ def without_search(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array | N
 
 def between_bisected(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array | None:
     """Return the rows of interpolation to a mesh that was bisected from the coarse one, or both from a
-    third; None for other meshes, and where nodes were moved. A loop to 20 000 nodes locates its nodes
-    in 25 ms, and takes 4 ms here.
+    third; None for other meshes, and where nodes were moved. All transfers of a loop to 19 764 nodes
+    take 6 ms, with a search 40.
 
     A new node has half of the row of each parent. A mesh is given by the initial one and the edges
     that are halved: where the nodes of the coarse mesh are the first ones of the fine mesh, each of
