@@ -396,7 +396,7 @@ class March:
             result = self._complete(k, relative, free, admissible, shift)
             self.take(result)
         if certified:
-            advise_on_motion(self.posed, result)
+            advise_on_motion(self.posed, [result])
         return result
 
     def _rounding_tolerance(self, start: np.ndarray, load: np.ndarray) -> float:

@@ -300,17 +300,20 @@ def advise_on_results(
     converged = [result for result in results if result.status.ok]
     if converged:
         _advise_on_contact(converged)
-    for result in converged:
-        if posed is not None:
-            advise_on_motion(posed, result)
+    if converged and posed is not None:
+        advise_on_motion(posed, converged)
     _advise_on_chords(posed, discrete, results)
 
 
-def advise_on_motion(posed: Posed, result: Result) -> None:
-    """Warn of large strains, rotations and slips."""
-    if not _advise_on_strains(posed, result):
-        _advise_on_rotations(posed.mesh, result)
-    _advise_on_slips(posed, result)
+def advise_on_motion(posed: Posed, results: Sequence[Result]) -> None:
+    """Warn of large strains, rotations and slips in results on one mesh."""
+    body_volumes = _body_volumes(posed)
+    strained = [_advise_on_strains(posed, result, body_volumes) for result in results]
+    _advise_on_rotations(
+        posed.mesh,
+        [result for result, large in zip(results, strained, strict=True) if not large],
+    )
+    _advise_on_slips(posed, results)
 
 
 def _advise_on_contact(results: Sequence[Result]) -> None:
@@ -348,13 +351,12 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
             )
 
 
-def _advise_on_strains(posed: Posed, result: Result) -> bool:
-    """Return whether strains are large in a considerable share of the volume of a body, and warn if
-    they are."""
+def _advise_on_strains(posed: Posed, result: Result, body_volumes: np.ndarray) -> bool:
+    """Return whether strains are large in a considerable share of the volume of a body
+    (``body_volumes``, m^2 or m^3), and warn if they are."""
     problem = posed.problem
     mesh = posed.mesh
     materials = posed.materials
-    body_volumes = _body_volumes(posed)
     if _energy_excludes_strains(posed, result, body_volumes):
         return False
     volumes = element_measures(mesh, problem.axisymmetric)
@@ -411,22 +413,23 @@ def _energy_excludes_strains(posed: Posed, result: Result, body_volumes: np.ndar
     return result.checked.energy_norm**2 < least_energy
 
 
-def _advise_on_rotations(mesh: MeshArrays, result: Result) -> None:
+def _advise_on_rotations(mesh: MeshArrays, results: Sequence[Result]) -> None:
     """Warn of bodies that turn far."""
-    motion = result.displacement
-    if mesh.dim != motion.shape[1]:  # a scalar problem
-        return
-    for body, name in enumerate(mesh.bodies):
+    # no rotations of scalar problems
+    motions = [result.displacement for result in results if result.dim == mesh.dim]
+    for body, name in enumerate(mesh.bodies if motions else ()):
         elements = np.flatnonzero(mesh.element_body == body)
         # a rotation shows on a thousand elements; all of 131 000 take a sixth of the whole solve
         nodes = np.unique(mesh.elements[elements[:: len(elements) // 1000 + 1]])
         place = mesh.points[nodes] - mesh.points[nodes].mean(axis=0)
-        # the gradient of the linear motion next to that of the nodes
-        change = motion[nodes] - motion[nodes].mean(axis=0)
-        gradient = np.linalg.lstsq(place, change, rcond=None)[0]
-        # the skew part has entries theta, so that |G - G'| = 2 sqrt(2) theta
-        angle = np.linalg.norm(gradient - gradient.T) / np.sqrt(8)
-        if angle > ROTATION:
+        # the gradients of the linear motions next to those of the nodes
+        changes = [motion[nodes] - motion[nodes].mean(axis=0) for motion in motions]
+        gradients = np.linalg.lstsq(place, np.hstack(changes), rcond=None)[0]
+        for gradient in np.hsplit(gradients, len(motions)):
+            # the skew part has entries theta, so that |G - G'| = 2 sqrt(2) theta
+            angle = np.linalg.norm(gradient - gradient.T) / np.sqrt(8)
+            if not angle > ROTATION:
+                continue
             advise(
                 "rotation",
                 f"body {name!r} turns by {np.degrees(angle):.3g} degrees, but the theory is one of small rotations, "
@@ -434,10 +437,9 @@ def _advise_on_rotations(mesh: MeshArrays, result: Result) -> None:
             )
 
 
-def _advise_on_slips(posed: Posed, result: Result) -> None:
+def _advise_on_slips(posed: Posed, results: Sequence[Result]) -> None:
     """Warn of slips beyond an element and beyond a share of the contact boundary."""
     mesh = posed.mesh
-    contact = result.contact
     for k, contact_part in enumerate(posed.problem.contact):
         if isinstance(contact_part, Contact):
             # the shape that the innermost of the motions moves
@@ -446,16 +448,18 @@ def _advise_on_slips(posed: Posed, result: Result) -> None:
                 shape = moving.obstacle
             if isinstance(shape, Plane):
                 continue  # it is the same everywhere, also after a motion
-        touching = np.flatnonzero((contact.boundary == k) & (contact.state != OPEN))
         facets = posed.surfaces[contact_part.boundary].facets
         corners = mesh.points[facets]
         element_size = np.zeros(mesh.n_nodes)
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
         np.maximum.at(element_size, facets, edges[:, None])
         boundary_extent = np.linalg.norm(np.ptp(corners.reshape(-1, mesh.dim), axis=0))
-        slip = np.linalg.norm(contact.u_t[touching], axis=1)
-        most_slip = np.maximum(element_size[contact.node[touching]], SLID * boundary_extent)
-        if (slip > most_slip).any():
+        for contact in (result.contact for result in results):
+            touching = np.flatnonzero((contact.boundary == k) & (contact.state != OPEN))
+            slip = np.linalg.norm(contact.u_t[touching], axis=1)
+            most_slip = np.maximum(element_size[contact.node[touching]], SLID * boundary_extent)
+            if not (slip > most_slip).any():
+                continue
             i = int(np.argmax(slip - most_slip))
             advise(
                 "slip",
