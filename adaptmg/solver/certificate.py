@@ -28,7 +28,7 @@ from adaptmg._text import in_html_lines, shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.block_rows import BlockRows
 from adaptmg.discrete.coordinates import from_frames
-from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.solver.aggregates import (
     Aggregates,
@@ -780,7 +780,7 @@ class Evidence:
         tangential_parts = np.eye(dim) - normal_parts
         slides = friction.slides[:, None, None] * tangential_parts
         lifts = ~on_rigid[:, None, None] * normal_parts
-        others, projections_of_others = self._held_elsewhere()
+        others, projections_of_others = _held_elsewhere(problem)
         # S = (B/|tau|)(I - n n' - f f') of friction along f that turns with the slip (3D), n n'/e of
         # springs; D = mu f n' where friction grows with the pressure
         f = friction.direction
@@ -802,16 +802,6 @@ class Evidence:
             lawful=-pressure[:, None] * normals + friction.lawful,
             closed=closed,
         )
-
-    def _held_elsewhere(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the other nodes (m,) that supports or ties hold, and projections (m, dim, dim) onto
-        their free directions."""
-        inclined = self.problem.inclined
-        held = np.append(self.fixed.nonzero()[0], inclined.nodes)
-        nodes = np.setdiff1d(held, self.problem.contact.nodes)
-        # a tied node, all of whose dofs are fixed, may be one of the inclined nodes
-        not_fixed = ~self.fixed[nodes][:, :, None] * np.eye(self.problem.dim)
-        return nodes, not_fixed @ (np.eye(self.problem.dim) - inclined.at(nodes))
 
     def _nearest_friction(
         self, slip: np.ndarray, friction: np.ndarray, limit: np.ndarray, free: np.ndarray
@@ -867,6 +857,19 @@ class _NearestFriction:
     lawful: np.ndarray
     #: (n_contact,): B/|tau| of nodes that slip, N/m: friction turns with the slip tau; else 0
     turning: np.ndarray
+
+
+@remembered_of_structure
+def _held_elsewhere(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes (m,) off the contact boundaries that supports or ties hold, and projections
+    (m, dim, dim) onto their free directions."""
+    inclined = problem.inclined
+    fixed = problem.fixed.reshape(-1, problem.dim)
+    held = np.append(fixed.nonzero()[0], inclined.nodes)
+    nodes = np.setdiff1d(held, problem.contact.nodes)
+    # a tied node, all of whose dofs are fixed, may be one of the inclined nodes
+    not_fixed = ~fixed[nodes][:, :, None] * np.eye(problem.dim)
+    return nodes, not_fixed @ (np.eye(problem.dim) - inclined.at(nodes))
 
 
 def _image(rows: BlockRows, change: np.ndarray) -> np.ndarray:

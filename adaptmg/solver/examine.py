@@ -277,11 +277,16 @@ class Examiner:
         self.blocks = contact_blocks(discrete)
         self.sizes = Sizes(discrete)
         self._last: tuple[np.ndarray, Examined] | None = None
+        self._last_residual: tuple[np.ndarray, float] | None = None
 
     def relative_residual(self, solution: np.ndarray) -> float:
         """Return the natural residual of a solution (n_unknowns,) over the forces that act, in
-        Euclidean norms; 1 if no other forces act."""
-        return self._residual(solution, self.discrete.residual(solution))
+        Euclidean norms; 1 if no other forces act. The last answer is remembered with its solution, which
+        must not change any more: a load step asks twice for that of its extrapolation."""
+        if self._last_residual is None or not np.array_equal(self._last_residual[0], solution):
+            residual = self._residual(solution, self.discrete.residual(solution))
+            self._last_residual = solution, residual
+        return self._last_residual[1]
 
     def _at_contact(self, vector: np.ndarray) -> np.ndarray:
         """Return the local components (n_contact, dim) of a vector (n_dofs,), zero along held
