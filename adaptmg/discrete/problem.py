@@ -311,31 +311,32 @@ class DiscreteProblem(Unknowns):
     def with_step(
         self,
         load: np.ndarray,
-        fixed_values: np.ndarray,
         slip_reference: np.ndarray,
         accumulated_slip: np.ndarray,
         strain_free: EnergyTerms | None,
         volumes: Volumes,
+        fixed_values: np.ndarray | None = None,
         gaps: np.ndarray | None = None,
     ) -> DiscreteProblem:
-        """Return the problem of another load step; only its data are checked and copied.
+        """Return the problem of another load step; only loads and prescribed values are checked.
 
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a
         coupling relative ones), N and m; slips count from ``slip_reference`` (n_contact, dim), as
         :meth:`at_contact` has it, and come after ``accumulated_slip`` (n_contact,), m.
-        ``volumes`` have the initial strains of the step. ``gaps`` (n_contact,), m, are those of this
-        problem unless they are given."""
+        ``volumes`` have the initial strains of the step. ``fixed_values`` and ``gaps`` (n_contact,),
+        m, are those of this problem unless they are given."""
         # a copy without the checks of all its arrays; the class is frozen
         contact = copy.copy(self.contact)
-        reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         contact.__dict__.update(
-            slip_reference=reference,
+            slip_reference=slip_reference,
             accumulated_slip=accumulated_slip,
             gaps=contact.gaps if gaps is None else gaps,
         )
-        # only along what is held: fixed dofs and inclined directions
-        prescribed = fixed_values - self.free_part(fixed_values)
-        values = bounded("fixed_values", prescribed, (self.n_dofs,))
+        values = self.fixed_values
+        if fixed_values is not None:
+            # only along what is held: fixed dofs and inclined directions
+            prescribed = fixed_values - self.free_part(fixed_values)
+            values = bounded("fixed_values", prescribed, (self.n_dofs,))
         return self.posing(contact=contact, **self.parts_under(load, values, strain_free, volumes))
 
     def parts_under(

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, TypeVar
 
 import numpy as np
@@ -151,7 +151,7 @@ class TruncatedContact:
         in nodes, frames, blocks, Tresca limits and compliances; :meth:`start` and
         :meth:`update_status` renew the linear laws of layers, springs and hardening."""
         contact, _ = local_contact(problem)
-        return replace(
+        return with_fields(
             self,
             gap=contact.gap,
             reference=contact.reference,
@@ -249,8 +249,8 @@ class TruncatedContact:
     def normal_components(self, vector: np.ndarray) -> np.ndarray:
         """Return the components (n_contact,) along the normals of a vector (n_dofs,), which pressures
         may follow."""
-        at_contact = vector[self.dim * self.nodes[:, None] + np.arange(self.dim)]
-        return np.einsum("nd,nd->n", self.node_frames[:, 0], at_contact)
+        by_node = vector[: self.dim * len(self.contact_of)].reshape(-1, self.dim)
+        return np.einsum("nd,nd->n", self.node_frames[:, 0], by_node[self.nodes])
 
     def _follow_friction(self, friction_at: FrictionAt, forces: np.ndarray) -> float:
         """Update the coefficients of friction to the present unknowns and forces, only in part where
