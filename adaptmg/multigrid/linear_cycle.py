@@ -594,10 +594,9 @@ class _LevelSmoother:
 def least_weights(products: np.ndarray, loads: np.ndarray) -> np.ndarray:
     """Return the alpha (k,) that minimise the norm of r + alpha C, squares weighted with W, from
     C W C' (k, k), which is overwritten, and -C W r (k,)."""
-    # scaled to a diagonal of 1, which is raised by rounding: changes C may be dependent
-    scale = np.sqrt(products.diagonal())
-    scale[scale == 0.0] = 1.0
-    products /= scale[:, None] * scale
-    products.flat[:: len(scale) + 1] += checks.ROUNDING
+    # a diagonal that is raised by rounding: changes C may be dependent, or zero
+    diagonal = np.einsum("kk->k", products)  # a view
+    diagonal *= 1.0 + checks.ROUNDING
+    diagonal[diagonal == 0.0] = 1.0
     # LAPACK itself: numpy's least squares take ten times as long as all products of a small problem
-    return linalg.lapack.dposv(products, loads / scale)[1] / scale
+    return linalg.lapack.dposv(products, loads)[1]

@@ -180,9 +180,14 @@ class _Descent:
         self.contact = contact
         self.motions = motions
         self.factor = 1.0
+        self.residual = residual
         self.values = contact.values.reshape(-1, dim)
         self.reference = contact.reference.reshape(-1, dim - 1)
-        self.pressure = np.maximum(contact.normal_components(residual), 0.0)
+
+    @cached_property
+    def pressure(self) -> np.ndarray:
+        """Return the pressures p (n_contact,), N: most cycles leave no motion free and need none."""
+        return np.maximum(self.contact.normal_components(self.residual), 0.0)
 
     def step(self) -> np.ndarray | None:
         """Take a step; return its combination of motions (m,), None at a minimum."""

@@ -340,8 +340,9 @@ class TruncatedStep:
 
     def restore(self) -> None:
         """Restore the coarse matrices without truncation."""
-        self.truncation.restore()
-        self._applied = None
+        if self._applied is not None:
+            self.truncation.restore()
+            self._applied = None
 
     def _truncate(self, linearised: TruncatedStatus) -> None:
         """Truncate the coarse matrices for a status, unless they are truncated for it."""
@@ -561,12 +562,9 @@ def _parts(n: int) -> Iterator[slice]:
 def _changes(state: TruncatedState, coarse_residual: np.ndarray, part: slice) -> np.ndarray:
     """Return a part of the changes (k, m) of the restricted residual R_0 by a recombination: R_j - R_0
     of the earlier iterates, then those of uniform pressures."""
-    return np.array(
-        [
-            *(residual[part] - coarse_residual[part] for _, residual in state.past),
-            *(change[part] for _, change in state.uniform),
-        ]
-    )
+    changes = np.array([residual[part] for _, residual in (*state.past, *state.uniform)])
+    changes[: len(state.past)] -= coarse_residual[part]
+    return changes
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> float:
