@@ -95,8 +95,8 @@ def peak_memory() -> int:
 
 
 def limit_memory(size: float) -> None:
-    """Limit the memory of this process, and let it leave no core when it breaks down; nothing on
-    Windows."""
+    """Limit the memory of this process to a finite ``size`` in bytes, and let it leave no core when it
+    breaks down; nothing on Windows."""
     if sys.platform != "win32":
         import resource
 

@@ -342,11 +342,12 @@ class PartialSlip:
         )
 
     def traction(self, x: np.ndarray) -> np.ndarray:
-        """Return the size of the tangential traction at x, Pa."""
+        """Return the size of the tangential traction t(x) at x (n,), m, Pa; see the module."""
         c = self.stick
-        a = self.normal.half_width
         inner = np.sqrt(np.maximum(0.0, 1 - (np.asarray(x) / c) ** 2))
-        return self.friction * (self.normal.pressure(x) - self.normal.peak * (c / a) * inner)
+        return self.friction * (
+            self.normal.pressure(x) - self.normal.peak * (c / self.normal.half_width) * inner
+        )
 
 
 def cattaneo(

@@ -270,14 +270,16 @@ def hill_cylinder(
 
 
 def _pressure_at(k: float, a: float, b: float, c: float) -> float:
-    """Return the pressure that makes the tube yield within the radius c."""
+    """Return the pressure, Pa, that makes a tube from radius a to b, of the shear yield stress k, yield
+    within the radius c."""
     return k * (2 * math.log(c / a) + 1 - (c / b) ** 2)
 
 
 def _tube_stress(
     k: float, a: float, b: float, c: float, pressure: float, r: np.ndarray
 ) -> np.ndarray:
-    """Return the radial and the hoop stress (2, n) of a tube that has yielded within the radius c."""
+    """Return the radial and the hoop stress (2, n), Pa, at radii r (n,) of a tube that has yielded within
+    the radius c under a pressure; k, a and b as of :func:`_pressure_at`."""
     r = np.asarray(r, dtype=np.float64)
     yielded = r < c
     radial = np.where(yielded, -pressure + 2 * k * np.log(r / a), k * c**2 * (1 / b**2 - 1 / r**2))
@@ -287,7 +289,8 @@ def _tube_stress(
 def _residual_stress(
     stress: partial, a: float, b: float, pressure: float, r: np.ndarray
 ) -> np.ndarray:
-    """Return the radial and the hoop stress (2, n) after the pressure."""
+    """Return the radial and the hoop stress (2, n), Pa, at radii r (n,) after the pressure: the ``stress``
+    under it, minus that of an elastic tube."""
     r = np.asarray(r, dtype=np.float64)
     size = pressure * a**2 / (b**2 - a**2)
     return stress(r) - size * np.array([1 - (b / r) ** 2, 1 + (b / r) ** 2])

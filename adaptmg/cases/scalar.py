@@ -156,8 +156,8 @@ def elastic_plastic_torsion(
 
 # partial functions of these can be pickled
 def _deflection(factor: float, depth: float, a: float, points: np.ndarray) -> np.ndarray:
-    """Return the deflection (n,) of the membrane, m, that lies on the floor for r <= a; ``factor`` is
-    q / 4k."""
+    """Return the deflection (n,) at points (n, 2) of the membrane, m, that lies on the floor for r <= a;
+    ``factor`` is q / 4k."""
     s = np.maximum(np.linalg.norm(points, axis=1), a)
     return -depth + factor * (s**2 - a**2 - 2 * a**2 * np.log(s / a))
 

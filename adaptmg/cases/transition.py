@@ -156,8 +156,9 @@ def _mode(
         s = _stress(ends, exponent, a, b)
         left = (s[1, 1], s[1, 2]) if kind == "open" else (u[1].real, u[1].imag)
         columns.append([u[0].imag, s[0, 2] + direction * friction * s[0, 1], *left])
-    null = np.linalg.svd(np.array(columns, dtype=float).T)[2][-1]
-    return complex(null[0], null[1]), complex(null[2], null[3])
+    # real and imaginary parts of a and b: the right singular vector of the singular value zero, the last one
+    *_, (a_real, a_imag, b_real, b_imag) = np.linalg.svd(np.array(columns, dtype=float).T)[2]
+    return complex(a_real, a_imag), complex(b_real, b_imag)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +174,7 @@ class TransitionField:
     shear: float = 0.0  # uniform sigma_xy, Pa
 
     def displacement(self, points: np.ndarray) -> np.ndarray:
-        """Return u (n, 2), m."""
+        """Return u (n, 2), m, at points (n, 2)."""
         z = _complex(points)
         mu = self.material.shear_modulus
         u = _displacement(z, self.exponent, self.a, self.b, self.material.poisson) / (2 * mu)
@@ -183,7 +184,7 @@ class TransitionField:
         )
 
     def stress(self, points: np.ndarray) -> np.ndarray:
-        """Return xx, yy, xy (n, 3), Pa."""
+        """Return the stresses xx, yy, xy (n, 3), Pa, at points (n, 2)."""
         result = _stress(_complex(points), self.exponent, self.a, self.b)
         lame = self.material.lame
         mu = self.material.shear_modulus
@@ -249,7 +250,7 @@ def _derivatives(
 
 def _displacement(z: _Complex, exponent: float, a: complex, b: complex, poisson: float) -> _Complex:
     """Return 2 mu (u_x + i u_y) (n,)."""
-    phi_slope = _derivatives(z, exponent, a, b)[0]
+    phi_slope, _, _ = _derivatives(z, exponent, a, b)
     return (3 - 4 * poisson) * a * z**exponent - z * np.conj(phi_slope) - np.conj(b * z**exponent)
 
 

@@ -159,7 +159,8 @@ def _words(item: inspect.Parameter) -> str:
 
 
 def _default(value: object) -> str:
-    """Return a default as text; "" for objects and None."""
+    """Return a default as text, numbers to six digits, which hold every default; "" for objects and
+    None."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float):

@@ -64,9 +64,10 @@ class InelasticBodies:
     """The patches of plastic bodies on one mesh."""
 
     posed: Posed
-    #: materials and their patches (n,), numbers among those of all plastic bodies
+    #: the material of each plastic body, and the numbers (n,) of its patches among the m plastic ones: rows
+    #: of the arrays below
     members: tuple[tuple[Inelastic, np.ndarray], ...]
-    numbers: np.ndarray  # (m,): of the patches among those of all bodies
+    numbers: np.ndarray  # (m,): of the plastic patches among those of all bodies, ascending
     n_patches: int  # of all bodies
     strains: sparse.csr_array  # (m * k, n_dofs): B, 1/m
     measures: np.ndarray  # (m,): volumes
@@ -83,6 +84,7 @@ class InelasticBodies:
         body = mesh.element_body[patches.element]
         inelastic = inelastic_bodies(posed.materials)
         numbers = np.flatnonzero(inelastic[body])
+        # both tables have their rows in the same order, which mesh and materials decide
         whole_tensors = moduli(mesh, posed.materials)
         tensors = moduli(mesh, posed.materials, elements)
         tensor_of_patch = tensors.rows[patches.element][numbers]
@@ -96,7 +98,8 @@ class InelasticBodies:
             members=members,
             numbers=numbers,
             n_patches=len(patches.measures),
-            strains=_strain_matrix(patches, numbers, mesh.points.size, 2 * mesh.dim),
+            # k = 2 dim components of strain: in the plane xx, yy, zz, xy
+            strains=_strain_matrix(patches, numbers, n_dofs=mesh.points.size, k=2 * mesh.dim),
             measures=patches.measures[numbers],
             elastic=tensors.table[tensor_of_patch],
             # C_xxyy is Lame's first constant: the shear moduli of both tensors are the same
@@ -236,7 +239,7 @@ class InelasticBodies:
 
 def _strain_matrix(patches: Patches, numbers: np.ndarray, n_dofs: int, k: int) -> sparse.csr_array:
     """Return the matrix (n * k, n_dofs) of the strains of patches ``numbers`` (n,), which have k
-    columns each."""
+    components each."""
     dim = patches.slopes.shape[1]
     number_among_chosen = places_of(numbers, len(patches.measures))
     patch_of_corner = np.repeat(number_among_chosen, np.diff(patches.start))
@@ -246,7 +249,7 @@ def _strain_matrix(patches: Patches, numbers: np.ndarray, n_dofs: int, k: int) -
     column = dim * patches.nodes[chosen].astype(np.int64)
     slopes = patches.slopes[chosen]
     entries = []
-    # column c of the strain is u_i,j, and of shear strains u_i,j + u_j,i
+    # component c of the strain is u_i,j, and of shear strains u_i,j + u_j,i
     for c, (i, j) in enumerate(PAIRS[:k].tolist()):
         if max(i, j) < dim:
             entries.append((row + c, column + i, slopes[:, j]))

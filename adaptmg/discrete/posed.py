@@ -77,7 +77,9 @@ class Rows:
     gaps: np.ndarray  # (n,), m
     weights: np.ndarray  # (n,)
     taken_over: sparse.csr_array | None  # (n, n_nodes)
-    follows: sparse.csr_array | None  # (n_nodes, n_nodes): weights of what slaves face
+    #: (n_nodes, n_nodes): W of :mod:`adaptmg.discrete.coordinates`, the weights of the nodes that slave and
+    #: tied ones face, with what they take over; None if there are none
+    follows: sparse.csr_array | None
 
     @property
     def touching(self) -> np.ndarray:
@@ -240,10 +242,13 @@ class Posed(Boundaries):
 
     @cached_property
     def rows(self) -> Rows:
-        """Return the rows of all nodes of contacts, ties, supports and springs; slave nodes that supports
-        hold along a surface with friction carry no condition."""
+        """Return the rows of all nodes of contacts, ties, supports and springs. Slave nodes that supports
+        hold along a surface with friction carry no condition: their displacement along it is not an
+        unknown, so that no force could act on their slip; their neighbours take over their part."""
         excluded = np.empty(0, dtype=np.int64)
-        while True:  # each pass excludes further nodes
+        # the rows of the neighbours change with what they take over, and may then be held, too: each pass
+        # excludes further nodes
+        while True:
             rows = self._rows(excluded)
             if rows.follows is None:
                 return rows

@@ -359,7 +359,8 @@ def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
 def _rotated(
     nodal: sparse.csr_array, contact: LinearisedContact, trial: np.ndarray
 ) -> sparse.csr_array:
-    """Return Z F P (see :func:`_cycle`) by dofs, with sorted columns."""
+    """Return Z F P (n_dofs, n_dofs coarse) of :func:`_cycle`, with sorted columns; ``nodal`` is P, and Z
+    keeps the dofs of ``trial`` (n_dofs,)."""
     n = contact.discrete.n_nodes
     dim = contact.discrete.dim
     frames = np.broadcast_to(np.eye(dim), (n, dim, dim)).copy()

@@ -73,7 +73,8 @@ class Engine(Protocol):
         marked: np.ndarray,
         max_nodes: int | None = None,
     ) -> MeshArrays | None:
-        """Return the next mesh; the same one or None where there is no finer one."""
+        """Return the next mesh, finer at the elements of the mask ``marked`` (n_elements,), with at most
+        about ``max_nodes`` nodes; the same one or None where there is no finer one."""
 
 
 def sound_mesh(
@@ -246,7 +247,7 @@ _SLOW = 2.0
 #: of the first 1.7 % larger and .8 % smaller errors, with 5 and 51 % more work; of the second 1.3 % smaller and 1.7 %
 #: larger ones with 31 and 5 % more work
 _STEEP, _SHARE = 0.3, 0.33
-#: edges that a contact boundary keeps along it, however small its error
+#: edges that each boundary that may touch keeps along it, however small its error
 _EDGES = 4
 
 
@@ -319,11 +320,12 @@ class Remesh:
         estimate: Estimate,
         aim: float,
     ) -> np.ndarray:
-        """Return sizes (n_nodes,), m, for a mesh of about ``aim`` nodes, with at least four edges along
-        a contact boundary."""
+        """Return sizes (n_nodes,), m, for a mesh of about ``aim`` nodes, more where this would leave less
+        than _EDGES edges along a boundary that may touch."""
         sizes = equilibrated_sizes(mesh, estimate.squares, aim)
         for name in problem.pair_boundaries:
             surface = mesh.surface(name)
+            # _EDGES along its length, in space along the side of a square of its area
             largest = surface.measures.sum() ** (1 / (mesh.dim - 1)) / _EDGES
             sizes[surface.nodes] = np.minimum(sizes[surface.nodes], largest)
         return graded_sizes(mesh, sizes, GRADING)
@@ -467,8 +469,8 @@ def _edge_lengths(mesh: MeshArrays) -> sparse.csr_array:
 def graded_sizes(
     mesh: MeshArrays, sizes: np.ndarray, growth: float, edges: sparse.csr_array | None = None
 ) -> np.ndarray:
-    """Return the largest sizes below these that grow by at most ``growth`` per distance along
-    edges."""
+    """Return the largest sizes (n_nodes,), m, not above ``sizes`` (n_nodes,) that grow by at most
+    ``growth`` per distance along ``edges``, by default those of :func:`_edge_lengths`."""
     n = mesh.n_nodes
     edges = _edge_lengths(mesh) if edges is None else edges
     # sizes are distances from a further node, whose edge to each of the others is as long as the

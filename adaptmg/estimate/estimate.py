@@ -325,7 +325,7 @@ def _share(theta: float) -> float:
 
 
 def _squares(estimate: Estimate | np.ndarray) -> np.ndarray:
-    """Return the squares of an estimate, or checked squares."""
+    """Return the squares (n_elements,) of an estimate, or checked squares."""
     return (
         estimate.squares
         if isinstance(estimate, Estimate)
@@ -533,8 +533,9 @@ def jump_squares(state: Solved) -> np.ndarray:
 def volume_squares(
     stress: ElementStress, loads: Sequence[Load], young: np.ndarray
 ) -> np.ndarray | None:
-    """Return the squares (n_elements,), N m, of residuals inside elements; None where there is neither
-    a body force nor axisymmetry, so that they vanish."""
+    """Return the squares h_T^2 / E int_T |f + div sigma|^2 (n_elements,), N m, of residuals inside
+    elements, with E of each (``young`` (n_elements,)); None where there is neither a body force nor
+    axisymmetry, so that they vanish."""
     forces = [load for load in loads if isinstance(load, BodyForce)]
     if not forces and not stress.axisymmetric:
         return None
@@ -546,12 +547,12 @@ def volume_squares(
     for load in forces:
         elements = slice(None) if load.body is None else body_elements(mesh, load.body)
         residual[elements] += load_density(load, at[elements], normals=None)
-    # h_T^2 / E |f + div sigma|^2
     return mesh.element_sizes**2 / young * np.einsum("eqd,eqd,eq->e", residual, residual, weights)
 
 
 def _divergence(stress: ElementStress, rule: np.ndarray) -> np.ndarray:
-    """Return the divergence (n_elements, n_points, 2) of an axisymmetric stress,
+    """Return the divergence (n_elements, n_points, 2), N/m^3, of an axisymmetric stress at the points of a
+    ``rule`` (n_points, 3) of barycentric weights,
 
     (d_r sigma_rr + d_z sigma_rz + (sigma_rr - sigma_tt) / r, d_r sigma_rz + d_z sigma_zz + sigma_rz / r).
 

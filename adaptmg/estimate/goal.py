@@ -266,7 +266,8 @@ class HalvedError:
 
     ``new`` (n_new,) are the dofs of these nodes in which it may move, ``error`` (n_new,) the error
     from all equations of these dofs together, for signed estimates, and ``diagonal_error`` (n_new,)
-    that from each equation by itself, for marks."""
+    that from each equation by itself, for marks. ``view`` and ``fine`` are the solution on its mesh
+    and on the halved one, ``norm`` is its energy norm, sqrt(N m)."""
 
     def __init__(self, view: GoalView, fine: GoalView, norm: float) -> None:
         self.view = view
@@ -276,7 +277,7 @@ class HalvedError:
         new = np.flatnonzero(trial & (np.arange(len(trial)) >= view.discrete.n_dofs))
         self.new = new
         self.test = sparse.csr_array(test[:, new].T)
-        # A_MM d = (b - A u_h)_M, with T and H at slipping nodes
+        # A_MM d = (b - A u_h)_M at the new dofs M, with T and H of the module adjoint at slipping nodes
         load = self.test @ (contact.fixed_friction - contact.local(contact.residual))
         matrix = sparse.csr_array(self.test @ matrix[:, new])
         diagonal = matrix.diagonal()

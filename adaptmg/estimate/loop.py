@@ -313,6 +313,8 @@ class AdaptiveLoop:
         self.clock = Run(unit=1)
         self.clock.timings |= start.timings
         self.done: list[Step] = []
+        #: for all load steps of the path of the last step, from :meth:`_solve`; None without a load path, and
+        #: of a step from a store until :meth:`_steering` makes it
         self.steering: Estimate | None = None
         self.warned_kinds: set[str] = set()  # each kind of warning is given once in the loop
 
@@ -508,7 +510,8 @@ class AdaptiveLoop:
 
     def _steering(self, last: Step) -> Estimate:
         """Return the estimate by which the next mesh is made: that of the last step, or one for all load
-        steps of its path."""
+        steps of its path. Steps from a store come before all that are solved, so that ``steering`` is
+        of the last step, or there is none yet."""
         if last.path is None or self.parts.adapt_on == "last":
             return last.estimate
         if self.steering is None:  # the step is from a store

@@ -47,7 +47,9 @@ class GoalView:
     mesh: MeshArrays
     displacement: np.ndarray  # (n_nodes, dim), m
     contact: LinearisedContact
-    coarse: GoalView | None = None  # of the mesh whose edges are halved
+    #: on the halved mesh the view of the mesh whose edges are halved. Contact forces are taken from there: A u -
+    #: b of the interpolated displacement is not a contact force
+    coarse: GoalView | None = None
 
     @classmethod
     def of(cls, solved: Solved) -> GoalView:
@@ -69,9 +71,9 @@ class GoalView:
         return self.discrete.contact
 
     def load_of(self, nodal: np.ndarray) -> np.ndarray:
-        """Return a functional of the displacement (n_nodes, dim) as one (n_dofs,) of the relative
-        coordinates, without parts along inclined directions: supports prescribe the displacement
-        there."""
+        """Return a functional of the displacement, by its derivatives ``nodal`` (n_nodes, dim), as one
+        (n_dofs,) of the relative coordinates, without parts along inclined directions: supports
+        prescribe the displacement there."""
         flat = np.asarray(nodal, dtype=np.float64).reshape(-1)
         return self.discrete.inclined.free_part(self.discrete.relative_forces(flat))
 
@@ -82,8 +84,8 @@ class GoalView:
         return self.discrete.relative(_halved(self.mesh, nodal, _mean)).reshape(-1)
 
     def halved(self) -> tuple[GoalView, np.ndarray]:
-        """Return the view of the mesh with all edges halved, with the interpolated displacement, and for
-        each of its elements the element of this mesh that holds it."""
+        """Return the view of the mesh with all edges halved, with the interpolated displacement, and the
+        element of this mesh that holds each of its elements (n_elements,)."""
         made = refined(self.mesh, np.ones(len(self.mesh.elements), dtype=bool))
         mesh = onto_domain(self.problem.domain, made.mesh, self.mesh.n_nodes)
         slips = np.zeros(self.displacement.shape)
@@ -378,8 +380,10 @@ class ContactForce:
         share = on_boundary * view.touching.measures / view.touching.weights
         if self.direction not in ("normal", "tangential"):
             k = _axis("direction", self.direction, dim)
+            # column k of a frame has the local components of the unit vector along axis k
             local = sign * share[:, None] * contact.frames[:, :, k]
         elif self.direction == "normal":
+            # against the outward normal: compressive forces count positive, on master and slave alike
             local[:, 0] = -share
         elif dim == 3:
             raise ValueError(
@@ -591,8 +595,10 @@ class Opening:
         return [Functional(name, float(coefficients @ contact.gap), "m", vector.reshape(-1))]
 
     def _shape_values(self, view: GoalView, facets: np.ndarray) -> np.ndarray:
-        """Return the shape functions (n_contact,) of the contact nodes at the point, on the nearest
-        of the ``facets``."""
+        """Return the shape functions (n_contact,) of the contact nodes at the point, on the nearest of the
+        ``facets`` (n, dim). ValueError if the point is off them, or near a node without a condition; on
+        the mesh of the result only: on the halved one curved boundaries have other chords, and new
+        nodes at the end of a boundary may have no condition."""
         mesh = view.mesh
         point = np.array(self.point)
         if len(point) != mesh.dim:
@@ -608,7 +614,8 @@ class Opening:
         nodal = np.zeros(mesh.n_nodes)
         nodes = view.touching.nodes
         nodal[facet] = shape
-        without_contact = facet[(shape > 1e-9) & ~np.isin(facet, nodes)]
+        # smaller shares are rounding: the point is at another node of the facet
+        without_contact = facet[(shape > checks.ALIKE) & ~np.isin(facet, nodes)]
         if view.coarse is None and len(without_contact):
             raise ValueError(
                 f"point {self.point}: its neighbour, node {without_contact[0]}, carries no contact condition"

@@ -105,7 +105,7 @@ class Reference:
         )
         for body, points in self.points.items():
             if len(points):
-                # next to a body too, of curved surfaces
+                # points of curved surfaces may lie outside this mesh: there the nearest place counts
                 place = PointLocator(mesh, mesh.bodies.index(body)).locate(points)
                 moved = np.einsum("nk,nkd->nd", place.weights, u[mesh.elements[place.element]])
                 moved = np.where(np.isnan(self.prescribed[body]), moved, self.prescribed[body])

@@ -97,7 +97,9 @@ def _integrals(
     full_contact: np.ndarray,
 ) -> np.ndarray:
     """Return the integrals (2, n_elements) of the square of the residual of the equation, and those of
-    contact force times distance."""
+    contact force times distance, from the distances (2, n_nodes) to both obstacles and their
+    pressures (2, n_nodes); ``full_contact`` (n_elements,) is 1 in full contact with the lower
+    obstacle, -1 with the upper one, else 0."""
     rule, points, weights = integration(
         mesh.points, mesh.elements, mesh.volumes, axisymmetric=False
     )
@@ -117,7 +119,9 @@ def _flux_squares(
     mesh: MeshArrays, flux: np.ndarray, fixed: np.ndarray, full_contact: np.ndarray
 ) -> np.ndarray:
     """Return h_F times the integrals (n_elements,) of the squares of the jumps of fluxes, half of each
-    facet for each of its elements, and of the squares of fluxes through boundaries that are not held."""
+    facet for each of its elements, and of the squares of fluxes through boundaries that are not
+    ``fixed`` (n_nodes,); ``flux`` (n_elements, dim) is k grad u, ``full_contact`` as of
+    :func:`_integrals`."""
     near = neighbours(mesh)
     free = near.outer & ~fixed[mesh.facets].all(axis=1)
     # the facets of free boundaries have the same element on both sides
@@ -141,7 +145,9 @@ def _obstacle_squares(
     full_contact: np.ndarray,
 ) -> np.ndarray:
     """Return the sums (n_elements,) over edges of the squares of distances from the obstacle, times
-    the integral of the square of the gradient of the edge's bubble."""
+    the integral of the square of the gradient of the edge's bubble; ``values`` (n_nodes,) are those of
+    the solution, ``slopes`` (n_elements, dim + 1, dim) the gradients of the shape functions,
+    ``full_contact`` as of :func:`_integrals`."""
     start, end = np.triu_indices(mesh.dim + 1, 1)
     edges = mesh.elements[:, np.stack([start, end])]
     middles = mesh.points[edges].mean(axis=1)

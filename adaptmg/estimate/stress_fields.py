@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 
@@ -79,8 +78,8 @@ class ElementStress:
 
     @cached_property
     def compliances(self) -> Moduli:
-        """Return the moduli whose inverses make energies of stresses; Lame's first constant may be
-        infinite."""
+        """Return the moduli whose inverses make energies of stresses. Lame's first constant may be
+        infinite, and is cut off where its inverse no longer counts next to that of the shear modulus."""
         if self.data.moduli is not None:
             return self.data.moduli
         return isotropic(
@@ -387,14 +386,17 @@ def contact_tractions(
         name: _on_surface(mesh, contact, name, axisymmetric)
         for name in dict.fromkeys([*contact.names, *filter(None, contact.masters)])
     }
-    names = () if ties is None else ties.names
-    sides = np.zeros(mesh.n_nodes, dtype=np.int64)
-    for name in set(names):
-        sides[mesh.surface(name).nodes] += 1
-    tied = cast("TieForces", ties)  # read for each name
-    for k, name in enumerate(names):
+    if ties is None:
+        return tractions
+    # in how many tied boundaries a node lies: its force is not divided among several, and so it gets the
+    # traction of its neighbours on each
+    n_sides = np.zeros(mesh.n_nodes, dtype=np.int64)
+    for name in set(ties.names):  # of a boundary in several ties once
+        n_sides[mesh.surface(name).nodes] += 1
+    # slave and master of each tie, in turn: the tractions of ties on one boundary add up
+    for k, name in enumerate(ties.names):
         surface = mesh.surface(name)
-        values = _tie_traction(surface, tied, k, sides[surface.nodes], axisymmetric)
+        values = _tie_traction(surface, ties, k, n_sides[surface.nodes], axisymmetric)
         of_contact = tractions[name].values if name in tractions else 0.0
         tractions[name] = SurfaceTraction(surface.facets, surface.nodes, of_contact + values)
     return tractions
@@ -404,8 +406,8 @@ def _tie_traction(
     surface: Surface, ties: TieForces, k: int, n_sides: np.ndarray, axisymmetric: bool
 ) -> np.ndarray:
     """Return the traction (m, dim) of side k of the ties at the nodes of its boundary: nodal forces
-    over nodal masses. Nodes that several sides share (``n_sides`` (m,)), and those of a slave that are
-    not tied, get the traction of their neighbours."""
+    over nodal masses. Nodes that several tied boundaries share (``n_sides`` (m,) > 1), and those of a
+    slave that are not tied, get the traction of their neighbours."""
     on_side = ties.boundary == k
     forces = np.zeros((len(surface.nodes), ties.force.shape[1]))
     forces[np.searchsorted(surface.nodes, ties.node[on_side])] = ties.force[on_side]

@@ -224,7 +224,8 @@ def _head(
     fingerprint: Mapping[str, object],
     norms: Sequence[float] = (),
 ) -> dict[str, object]:
-    """Return the head of a store of steps, from which :meth:`PathResult.load` reads the path."""
+    """Return the head of a store of ``steps`` steps, from which :meth:`PathResult.load` reads the path:
+    the factors (n_steps,) of the loads by name, and the energy norms of the results."""
     return {
         "steps": steps,
         "factors": {name: list(map(float, values)) for name, values in factors.items()},
@@ -239,7 +240,8 @@ def _stored(k: int, result: Result) -> Result:
 
 
 def _results(store: StepStore, steps: int) -> list[tuple[Result, list[np.ndarray] | None]]:
-    """Return the results, and the displacements of coarse levels that were stored with them."""
+    """Return the results, and the displacements of coarse levels (n_dofs,), coarsest first, that were
+    stored with them; ValueError if there are more than ``steps``."""
     stored = list(store.steps())
     if len(stored) > steps:
         raise ValueError(
@@ -415,8 +417,9 @@ def solve_path(
 
 
 def _check_start(loop: PathLoop, start: Result) -> tuple[np.ndarray, ...]:
-    """Return the displacement, the plastic state and the accumulated slip with which a path begins;
-    ValueError unless they are of its problem, on its finest mesh."""
+    """Return the displacement (n_nodes, dim), the plastic state (n_patches, n) and the accumulated slip
+    (n_contact,) with which a path begins; ValueError unless they are of its problem, on its finest
+    mesh."""
     checks.instance("start", start, Result, "a Result")
     finest = loop.grids.finest
     mesh = finest.mesh

@@ -116,8 +116,8 @@ class Past:
 
 
 def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
-    """Return the solution of the step before or the extrapolated one, the one with the smaller
-    residual."""
+    """Return the solution (n_unknowns,) of the step before or the extrapolated one, the one with the
+    smaller residual."""
     with run.phase("start"):
         return min(past.last, past.extrapolated, key=examiner.relative_residual)
 
@@ -168,7 +168,8 @@ def step_outcome(
 ) -> tuple[Outcome, TruncatedRun | None, list[np.ndarray] | None]:
     """Solve a step as :func:`resumed` does, or :func:`restarted` with other solvers than truncated
     multigrid. Before it, the extrapolation is taken if it is accurate enough; it is tried with
-    truncated multigrid, and with an ActiveSet that repeats the last loads."""
+    truncated multigrid, and with an ActiveSet that repeats the last loads. ``past`` has the starts,
+    ``examiner`` belongs to the step; displacements of coarse levels (n_dofs,) come coarsest first."""
     is_truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
     # an ActiveSet that repeats the loads would find no slip, and so no direction for friction at its bound,
     # and its Newton steps may cycle: the old solution comes first
@@ -218,19 +219,25 @@ def resumed(
         multigrid = cast("TruncatedRun", solver.prepared(hierarchy, run, keeps=True))
     else:
         multigrid.pose(hierarchy, run)
+    # "discretisation": the first contact problem of a path, whose nested start sets the tolerance of all others
     multigrid.rtol = solver.rtol if isinstance(solver.rtol, str) else max(solver.rtol, past.loose)
     coarse = None
-    origin = "given" if past.has_previous else "zero"
+    origin = "zero"
     if past.is_start:
+        # no other start is as near: neither a nested one nor that of the step before is tried
         start = past.extrapolated
     elif isinstance(solver, FullMultigrid):
         start, coarse = _nested_start(solver, multigrid, examiner, run, past)
-        origin = "given" if past.has_previous else "nested"
+        origin = "nested"
     elif past.has_previous:
         start = better_start(examiner, past, run)
     else:
         start = np.zeros(problem.n_unknowns)
-    outcome = multigrid.finish(problem.from_prescribed(start), origin)
+    # the contact status of a start is trusted after a step before. In the first step that of other motions is
+    # not: 48 paths of pads take 1533 cycles in place of 1524 if it is
+    outcome = multigrid.finish(
+        problem.from_prescribed(start), "given" if past.has_previous else origin
+    )
     # a run that leaves cycles to another method has diverged or stalled: its set-up is not used again
     return outcome, None if outcome.left else multigrid, coarse
 
@@ -410,7 +417,8 @@ class Controls:
     def placed(
         self, factors: Mapping[str, float], motions: Mapping[str, np.ndarray]
     ) -> dict[int, Moving]:
-        """Return all moving obstacles in their places, by the number of their contact."""
+        """Return all moving obstacles in their places, by the number of their contact, with these factors
+        of loads and ``motions`` (3 or 6,) of Rigid obstacles by name."""
         places = {k: placed(obstacle, factors, motions) for k, obstacle in self.obstacles.items()}
         return {k: place for k, place in places.items() if isinstance(place, Moving)}
 
@@ -438,15 +446,17 @@ class Controls:
         solve: Solve[Carried],
         posed: Callable[[dict[str, np.ndarray]], Grids],
         limit: float,
+        rtol: Callable[[], float],
     ) -> tuple[Result, Carried, dict[str, np.ndarray]]:
         """Return the result with the prescribed forces, what ``solve`` carries to the next step, and
-        the motions.
+        the motions; ``rtol`` returns the tolerance of the solver, which the first contact problem may set.
 
-        A guide finds motions of obstacles on a level with few unknowns; contact problems on the
-        finest level correct them, and shorten bolts. The result counts the cycles of all contact
-        problems there, and the work and seconds of the guide too. Once every bolt pulls, no further
-        contact problem begins after ``limit`` cycles."""
-        search = Search(self, parts, solve, limit)
+        A guide finds motions of obstacles on a level with few unknowns, of the hierarchy that
+        ``posed`` makes for motions; contact problems on the finest level correct them, and shorten
+        bolts. The result counts the cycles of all contact problems there, and the work and seconds
+        of the guide too. Once every bolt pulls, no further contact problem begins after ``limit``
+        cycles."""
+        search = Search(self, parts, solve, limit, rtol)
         guide = Guide(self, parts, posed)
         motions = np.concatenate([self.motions[part.name][list(part.free)] for part in parts])
         # from here on over their sizes
@@ -520,9 +530,10 @@ class Guide:
         self.loose = 0.0 if self.level_number == self.finest_number else _LOOSE * _COARSE
 
     def balanced_values(self, values: np.ndarray) -> np.ndarray:
-        """Return values of the unknowns with which obstacles balance their forces, by a few steps to
-        first order from ``values``; or the last ones, where equations become singular. ValueError if
-        they are singular before the first trial, or nothing resists the forces."""
+        """Return values (n,) of the unknowns, over their sizes, with which obstacles balance their
+        forces, by a few steps to first order from ``values`` (n,); or the last ones, where
+        equations become singular. Strains of bolts stay. ValueError if they are singular before the
+        first trial, or nothing resists the forces."""
         values = values.copy()
         for _ in range(_RELINEARISED if self.n_motions else 0):
             try:
@@ -540,9 +551,10 @@ class Guide:
         return values
 
     def better_values(self, values: np.ndarray, missed: np.ndarray) -> np.ndarray:
-        """Return better values than those with which the finest level misses the forces by
-        ``missed``: those of this guide on the finest level. Where it was on this level already, or the
-        factors of that take too much memory, a Newton step corrects the values by what is missed."""
+        """Return better values (n,) than those with which the finest level misses the forces by
+        ``missed`` (n,), both over their sizes: those of this guide on the finest level. Where it
+        was on this level already, or the factors of that take too much memory, a Newton step
+        corrects the values by what is missed."""
         is_coarse = self.level_number < self.finest_number
         if is_coarse and factorisable(self.controls.level.discrete):
             self.level_number = self.finest_number
@@ -553,8 +565,9 @@ class Guide:
             return values
 
     def stiffness(self, values: np.ndarray) -> np.ndarray | None:
-        """Return the Jacobian (n, n) of forces by motions, as the inverse of the differences of motions
-        for small changes of the forces; None where equations are singular."""
+        """Return the Jacobian (n, n) of forces by motions at ``values`` (n,), all over their sizes, as the
+        inverse of the differences of motions for small changes of the forces; None where equations are
+        singular."""
         try:
             rest = self._balancing_change(values, np.zeros(self.n_motions))
             changes = _DIFFERENCE * np.eye(self.n_motions)
@@ -630,7 +643,7 @@ class _Trial(Generic[Carried]):
     missed: np.ndarray  # (n,): its forces minus the prescribed ones, over their sizes
     result: Result
     carried: Carried
-    loosened: bool  # whether it was solved to a larger tolerance than that of the solver
+    loosened: bool  # whether it was solved to a larger tolerance than that of the solver, one that sufficed
 
 
 class _Exhausted(Exception):
@@ -638,18 +651,24 @@ class _Exhausted(Exception):
 
 
 class Search(Generic[Carried]):
-    """The search for motions on the finest level; ``solve`` takes motions, a result near theirs and
-    the tolerance that suffices. ``last`` is the last trial."""
+    """The search for motions on the finest level, with the arguments of :meth:`Controls.find`. ``last``
+    is the last trial."""
 
     last: _Trial[Carried]
 
     def __init__(
-        self, controls: Controls, parts: Sequence[_Unknowns], solve: Solve[Carried], limit: float
+        self,
+        controls: Controls,
+        parts: Sequence[_Unknowns],
+        solve: Solve[Carried],
+        limit: float,
+        rtol: Callable[[], float],
     ) -> None:
         self.controls = controls
         self.parts = parts
         self.solve = solve
         self.limit = limit
+        self.rtol = rtol
         #: cycles after which no contact problem begins
         self.budget = np.inf
         self.sizes = np.concatenate([part.sizes for part in parts])
@@ -670,7 +689,11 @@ class Search(Generic[Carried]):
         self.spent.append(result)
         missed = self.controls.missing_forces(self.parts, result)
         _LOG.debug("motions %s miss their forces by %s of their size", motions, missed)
-        self.last = _Trial(values, missed, result, carried, result.rtol == loose)
+        # multigrid takes the larger one of both tolerances; other solvers, and the problem that sets rtol, ignore
+        # ``loose``, and rounding may widen both
+        self.last = _Trial(
+            values, missed, result, carried, loosened=result.rtol == loose > self.rtol()
+        )
         return self.last
 
     @property
@@ -730,9 +753,10 @@ class Search(Generic[Carried]):
     def newton_change(
         self, jacobian: np.ndarray, missed: np.ndarray, by_differences: bool
     ) -> np.ndarray:
-        """Return the change d (n,) of least size with J d = -``missed`` in the directions of forces that
-        resist, where the singular values of J are not rounding; ValueError where differences show that
-        nothing resists a direction in which forces are missed."""
+        """Return the change d (n,) of least size with J d = -``missed`` (n,), J the ``jacobian``
+        (n, n), in the directions of forces that resist, where the singular values of J are not
+        rounding; ValueError where differences show that nothing resists a direction in which forces
+        are missed."""
         left_vectors, stiffnesses, right_vectors = np.linalg.svd(jacobian)
         # errors of differences: the tolerance of their contact problems over their step, both over ``reach``
         noise = _EXACT / _DIFFERENCE if by_differences else 0.0
@@ -761,6 +785,7 @@ class Search(Generic[Carried]):
                 target = part.targets[0] / part.force_sizes[0]
                 # the force in the bolt, over its size, is the prescribed one plus what is missed
                 if part.number is None and target + trial.missed[part.first] < _PULLS * target:
+                    # over the size of its strain
                     change[part.first] = 2.0**doubling
             if not change.any():
                 return trial

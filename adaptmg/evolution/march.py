@@ -303,7 +303,7 @@ class March:
         problem = self.posed.problem
         held = self.posed.fixed.copy()
         held[self.posed.inclined.nodes] = True
-        held[:, 0] |= problem.axisymmetric
+        held[:, 0] |= problem.axisymmetric  # hoop strains resist a radial motion
         for support in problem.supports:
             if isinstance(support, Spring | PointSpring):
                 held[supported_nodes(self.posed.mesh, support, self.posed.surfaces)] = True
@@ -416,7 +416,8 @@ class March:
         self.accumulated_slip = self.accumulated_slip + slip_lengths(result)
 
     def _posed(self, admissible: np.ndarray, shift: np.ndarray) -> Grids:
-        """Return the hierarchy with the problem of a step, relative to a ``shift`` of the bodies."""
+        """Return the hierarchy with the problem of a step from the displacement u_p (``admissible``
+        (n_nodes, dim)), relative to a ``shift`` (n_nodes, dim) of the bodies."""
         discrete = self.discrete
         step = self.dynamics.step
         # f + (beta/tau - 1/2) K u^k + 2/tau^2 M u_p, relative to the shift
@@ -444,8 +445,9 @@ class March:
         admissible: np.ndarray,
         shift: np.ndarray,
     ) -> Result:
-        """Return the result of step k, relative to a shift, as one with the whole displacement, the
-        velocity and the energies."""
+        """Return the result of step k, which is relative to a ``shift``, as one with the whole
+        displacement, the velocity and the energies; ``free`` and ``admissible`` are u~ = u + tau v and
+        the nearest admissible displacement u_p, all (n_nodes, dim), m."""
         step = self.dynamics.step
         contact = result.contact
         displacement = result.displacement + shift

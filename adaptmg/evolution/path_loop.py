@@ -125,6 +125,7 @@ class PathLoop:
                 lambda motions, near, loose: self._solve(k, motions, near, progress, loose),
                 partial(self._posed, k),
                 self._limit,
+                lambda: getattr(self.step_solver, "rtol", np.inf),
             )
             self._check_held(grids, k, motions)
         else:
@@ -148,9 +149,11 @@ class PathLoop:
         progress: Callable[[int, dict[str, float]], None] | None,
         loose: float,
     ) -> tuple[Result, tuple[Grids, list[np.ndarray] | None]]:
-        """Return the result of step k with these motions of obstacles, and what the next step needs:
-        the hierarchy and the displacements of coarse levels. The method starts from a result ``near``
-        to it; its tolerance may be as large as ``loose``."""
+        """Return the result of step k with these motions (3 or 6,) of obstacles and strains (1,) of
+        preloads, by name as in :attr:`Controls.motions`, and what the next step needs: the hierarchy
+        and the displacements (n_dofs,) of coarse levels, coarsest first, None without a nested start.
+        The method starts from a result ``near`` to it, unless there is none; its tolerance may be as
+        large as ``loose``."""
         run, grids, forces = self._set_up(k, motions, progress)
         run.examiner = self.examiner
         with run.phase("setup"):
@@ -186,7 +189,8 @@ class PathLoop:
         motions: Mapping[str, np.ndarray],
         progress: Callable[[int, dict[str, float]], None] | None,
     ) -> tuple[Run, Grids, np.ndarray]:
-        """Return the run of step k, its hierarchy, and the forces b - A u_fixed (n_dofs,)."""
+        """Return the run of step k, its hierarchy with these motions of obstacles and preloads, and the
+        forces b - A u_fixed (n_dofs,)."""
         callback = None if progress is None else partial(progress, k)
         run = Run(unit=self.grids.finest.nonzeros, callback=callback)
         with run.phase("setup"):
@@ -228,7 +232,8 @@ class PathLoop:
         )
 
     def take_over(self, k: int, result: Result, coarse: list[np.ndarray] | None) -> None:
-        """Continue after a step that was solved before, with its result."""
+        """Continue after a step that was solved before, with its result and the displacements (n_dofs,) of
+        coarse levels, None if they are to be found from it."""
         motions = {name: np.array(motion) for name, motion in result.motions.items()}
         grids = self._posed(k, motions)
         if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
@@ -307,8 +312,11 @@ class PathLoop:
                     reference = problem.at_contact(self.displacements[number - n_unused])
                 # coarse levels make starts only: with the slips of the nearest fine nodes four paths
                 # of ten steps take 253 cycles, without any 258
-                is_finest = level is self.grids.finest
-                slips = self.accumulated_slip if is_finest else problem.contact.accumulated_slip
+                slips = (
+                    self.accumulated_slip
+                    if level is self.grids.finest
+                    else problem.contact.accumulated_slip
+                )
                 step = loads.step(problem, factors, reference, slips)
                 if posed is not None and places:
                     step = moved(posed, step, places, self.controls.places)
@@ -319,7 +327,8 @@ class PathLoop:
     def _remember(
         self, k: int, grids: Grids, result: Result, coarse: list[np.ndarray] | None
     ) -> None:
-        """Keep what the next step needs of the result of step k."""
+        """Keep what the next step needs of the result of step k, posed as in ``grids``, and of the
+        displacements (n_dofs,) of coarse levels, None if they are to be found from it."""
         self.coarse = coarse
         # from the result, as a path that goes on from its store has it
         displacement = grids.finest.discrete.relative(result.displacement).reshape(-1)
@@ -353,7 +362,7 @@ class PathLoop:
         return last + self._ratio(k) * (last - self.recent[0][0])
 
     def _extrapolated_displacements(self, k: int) -> list[np.ndarray]:
-        """Return the displacements of all levels for step k, extrapolated as the start. Ten paths take
+        """Return the displacements (n_dofs,) of all levels for step k, extrapolated as the start. Ten paths take
         1323 cycles; with those of the last step in place of it, where an extrapolation is accepted,
         1347."""
         ratio = self._ratio(k)

@@ -160,6 +160,7 @@ class _Side:
 
     @property
     def smoothed(self) -> bool:
+        """Return whether patches are the edges of smoothed elements, not the elements."""
         return self.posed.problem.elements == "smoothed"
 
     @cached_property
@@ -219,8 +220,9 @@ def _corners(dim: int) -> np.ndarray:
 
 def _members(owner: np.ndarray, n: int) -> sparse.csr_array:
     """Return a matrix (n, len(owner)) with a one in column k at the row ``owner[k]``."""
-    ones = np.ones(len(owner))
-    return sparse.csr_array((ones, (owner, np.arange(len(owner)))), shape=(n, len(owner)))
+    return sparse.csr_array(
+        (np.ones(len(owner)), (owner, np.arange(len(owner)))), shape=(n, len(owner))
+    )
 
 
 def _check(before: _Side, result: Result, after: _Side) -> None:
@@ -320,7 +322,8 @@ def _interpolated_slips(
 
 
 def _at_rest(contact: ContactResult, accumulated_slip: np.ndarray) -> ContactResult:
-    """Return contact quantities without forces and without a slip of the last step."""
+    """Return contact quantities without forces and without a slip of the last step, with this
+    accumulated slip (n_contact,), m."""
     zeros = {
         name: np.zeros_like(getattr(contact, name))
         for name in ("slip", "force_n", "force_t", "limit", "master_force")

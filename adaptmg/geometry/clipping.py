@@ -139,8 +139,8 @@ MOMENTS = 6
 
 @kernel
 def _side(polygon, i, ax, ay, bx, by):
-    """Twice the area of the triangle of a, b and corner i: positive to the left of the line from a
-    to b."""
+    """Return twice the area of the triangle of a, b and corner i: positive to the left of the line from
+    a to b."""
     return (bx - ax) * (polygon[i, 1] - ay) - (by - ay) * (polygon[i, 0] - ax)
 
 
@@ -282,9 +282,11 @@ def polygon_moments(polygon, n, moments):
 
 @kernel
 def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states, piece, moments):
-    """Add the moments of what is left of a polygon when triangles hide parts of it. Its triangles
-    are cut along the edges of one blocker after the other, depth first: what lies outside an edge
-    goes on to the next blocker, what lies inside all of them is hidden."""
+    """Add the moments of what is left of a polygon when triangles hide parts of it: of ``blockers``
+    (n, 3, 2) those with the numbers ``hiding[:n_hiding]``. Its triangles are cut along the edges of one
+    blocker after the other, depth first: what lies outside an edge goes on to the next blocker, what
+    lies inside all of them is hidden. ``stack`` (room, 3, 2) of triangles, ``states`` (room, 2) of them
+    and ``piece`` (2, room, 2) are scratch."""
     for c in range(MOMENTS):
         moments[c] = 0.0
     depth = _push(polygon, n, 0, 0, stack, states, 0)
@@ -316,8 +318,8 @@ def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states
 
 @inner_kernel
 def _push(polygon, n, at, edge, stack, states, depth):
-    """Put the fan of triangles that makes a polygon on the stack, with their state; returns its new
-    depth."""
+    """Put the fan of triangles that makes a polygon on the stack, with their state: the place ``at`` of the
+    next blocker, and the first ``edge`` of it that they have not been cut along. Returns the new depth."""
     for i in range(1, n - 1):
         for c in range(2):
             stack[depth, 0, c] = polygon[0, c]

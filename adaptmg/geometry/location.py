@@ -35,6 +35,7 @@ class SimplexLocator:
     def __init__(
         self, points: np.ndarray, elements: np.ndarray, chosen: np.ndarray | None = None
     ) -> None:
+        #: numbers in the mesh of the elements among which points are looked for: ``chosen``, or all
         self.chosen = (
             np.arange(len(elements), dtype=np.int32) if chosen is None else chosen.astype(np.int32)
         )
@@ -61,12 +62,14 @@ class SimplexLocator:
                 f"points must be finite; point {np.argmin(np.isfinite(queries).all(axis=1))} is not"
             )
         n = len(queries)
-        holder = np.empty(n, dtype=np.int64)
+        holder = np.empty(n, dtype=np.int64)  # positions in the order of the tree, -1 outside
         weights = np.empty((n, self.dim + 1))
         distance = np.zeros(n)
-        # about as long as it takes to read 20 numbers a point
+        # about as long as it takes to read 20 numbers a point. A point on an edge goes to the element that is
+        # met first, which depends on the point before it: parts are not joined to one for each thread, so
+        # that they, and the result, do not depend on the number of threads
         in_parts(
-            locate,
+            find_holders,
             n,
             20 * n,
             padded(queries),
@@ -77,6 +80,7 @@ class SimplexLocator:
             weights,
             joined=False,
         )
+        # numbers among the chosen elements. Outside, -1 gives the last one, which the nearest one replaces
         element = self.tree.order[holder]
         if len(outside := np.flatnonzero(holder < 0)):
             element[outside], weights[outside], distance[outside] = self.tree.nearest(
@@ -184,9 +188,9 @@ def _holder(x, y, z, start, maps, boxes, dim, stack):
 
 
 @kernel
-def locate(first, last, queries, sequence, maps, boxes, holder, weights):
-    """Find the position of an element that holds each of ``queries`` (n, 3) in the order
-    ``sequence[first:last]``, -1 if there is none."""
+def find_holders(first, last, queries, sequence, maps, boxes, holder, weights):
+    """Find the position ``holder`` (n,) of an element that holds each of ``queries`` (n, 3), -1 if there
+    is none, and the ``weights`` (n, dim + 1) there, in the order ``sequence[first:last]``."""
     dim = weights.shape[1] - 1
     stack = np.empty(STACK, dtype=np.int64)
     leaf = len(boxes) // 2

@@ -256,7 +256,8 @@ class BoxTree:
         self.points = padded(points)
 
     def nearest(self, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the nearest simplex of each point."""
+        """Return the number (n,) of the simplex nearest to each of ``queries`` (n, dim), the weights (n, k)
+        of its corners in the closest point, and the distances (n,)."""
         n = len(queries)
         found = np.empty(n, dtype=np.int64)
         weights = np.empty((n, self.simplices.shape[1]))
@@ -276,9 +277,12 @@ class BoxTree:
     def meeting(
         self, frames: np.ndarray, origins: np.ndarray, low: np.ndarray, high: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return pairs (turned box, simplex that meets it); see :func:`meet_turned`."""
+        """Return pairs as two arrays (n_pairs,), the number of a turned box and that of a simplex that meets
+        it; the boxes have ``frames`` (n, dim, dim), ``origins``, ``low`` and ``high`` (n, dim) as of
+        :func:`meet_turned`."""
         start = np.zeros(len(frames) + 1, dtype=np.int64)
         arguments = (frames, origins, low, high, self.boxes, self.points, self.simplices, start)
+        # first without, then with ``fill``: the counts say where the pairs of each box go
         meet_turned(*arguments, False, np.empty(0, dtype=np.int64))
         np.cumsum(start, out=start)
         found = np.empty(start[-1], dtype=np.int64)
@@ -382,6 +386,7 @@ def _on_triangle(points, a, b, c, x):
 
 @inner_kernel
 def _squared_distance(points, corners, weights, x):
+    """Return the squared distance of ``x`` (3,) from the point with these weights (k,) of ``corners``."""
     total = 0.0
     for m in range(3):
         difference = x[m]

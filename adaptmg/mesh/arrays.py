@@ -35,8 +35,9 @@ _VIEW = np.array([[0.87, -0.25], [-0.5, -0.43], [0.0, -0.87]])
 
 
 def _frozen(name: str, array: ArrayLike, dtype: type) -> np.ndarray:
-    """Return the array of a field of MeshArrays as a read-only copy, or itself if it is one
-    already; TypeError for floats in place of integers, ValueError for integers beyond 32 bits."""
+    """Return the array of the field ``name`` of MeshArrays as a read-only copy, or itself if it is one
+    already (a view is not: what it shows may be writable); TypeError for floats in place of integers,
+    ValueError for integers beyond 32 bits."""
     if (
         type(array) is np.ndarray
         and array.dtype == dtype
@@ -194,8 +195,9 @@ class MeshArrays:
         )
 
     def __reduce__(self) -> tuple:
-        # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to
-        # hand a mesh back
+        # by way of __init__, so that the arrays are frozen again, and without what is computed when it is
+        # first read (surfaces, sizes, ...): among this ``source`` is a mesh of NGSolve, which whoever reads
+        # the pickle would have to import
         return (
             type(self),
             (
@@ -454,7 +456,8 @@ def _check_labels(mesh: MeshArrays) -> None:
 
 
 def signed_measures(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
-    """Return the signed areas or volumes (n,) of some simplices."""
+    """Return the signed areas or volumes (n,), m^2 or m^3, of the simplices ``elements`` (n, dim + 1)
+    between ``points`` (n_nodes, dim)."""
     result = np.empty(len(elements))
     arrays = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(elements, np.int32)
     _measure(*map(read_only, arrays), result)
@@ -488,7 +491,8 @@ def _measure(points, elements, result):
 
 
 def positive(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
-    """Return the simplices with their last two corners exchanged where they are turned over."""
+    """Return the simplices ``elements`` (n, dim + 1) between ``points`` (n_nodes, dim) with their last two
+    corners exchanged where they are turned over."""
     negative = signed_measures(points, elements) < 0
     elements = np.array(elements)
     elements[negative, -2:] = elements[negative, :-3:-1]  # the last corner, then the one before it
@@ -587,9 +591,10 @@ def in_sweep_order(mesh: MeshArrays) -> MeshArrays:
 def sweep_order(
     points: np.ndarray, elements: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the order (n,) of nodes along the longest side of their bounding box, the new numbers (n,)
-    of the nodes, which are the inverse of this order, the order (m,) of elements by their lowest new
-    number, and the elements (m, dim + 1) in that order, with the new numbers of their nodes."""
+    """Return the order (n,) of nodes (``points`` (n, dim)) along the longest side of their bounding
+    box, the new numbers (n,) of the nodes, which are the inverse of this order, the order (m,) of
+    elements by their lowest new number, and the elements (m, dim + 1) in that order, with the new
+    numbers of their nodes."""
     n = len(points)
     order = np.argsort(points[:, np.argmax(np.ptp(points, axis=0))], kind="stable")
     number = np.empty(n, dtype=np.int32)
@@ -694,14 +699,15 @@ def doubled(sets: np.ndarray, nodes: np.ndarray, n: int) -> tuple[np.ndarray, np
 
 
 def places_of(nodes: np.ndarray, n: int, dtype: DTypeLike = np.int64) -> np.ndarray:
-    """Return for each of n nodes its place among some distinct ``nodes``, -1 for the others."""
+    """Return for each of n nodes its place (n,) among some distinct ``nodes``, -1 for the others."""
     places = np.full(n, -1, dtype=dtype)
     places[nodes] = np.arange(len(nodes))
     return places
 
 
 def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
-    """Return one integer a facet, the same for every order of its nodes."""
+    """Return one integer (n_facets,) a facet of ``facets`` (n_facets, dim), the same for every order of its
+    nodes, below n_nodes."""
     dim = facets.shape[1]
     if n_nodes > MOST_NODES[dim]:
         raise ValueError(f"a {dim}D mesh may have at most {MOST_NODES[dim]} nodes, got {n_nodes}")
@@ -730,7 +736,7 @@ def sorted_facet_keys(facets: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.
 
 
 def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
-    """Return all distinct facets of a mesh."""
+    """Return all distinct facets of the elements (n_elements, dim + 1) of a mesh."""
     dim = elements.shape[1] - 1
     facets = element_facets(elements).reshape(-1, dim)
     # a facet of two elements stands there twice: once sorted, in adjacent rows
@@ -750,15 +756,16 @@ def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
 
 
 def same_orientation(facets: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return whether facets of the same nodes also have the same orientation (n,)."""
+    """Return whether ``facets`` and ``others`` (n, dim), of the same nodes, also have the same orientation
+    (n,)."""
     if facets.shape[1] == 2:
         return (facets == others).all(axis=1)
     return np.any([(facets == np.roll(others, k, axis=1)).all(axis=1) for k in range(3)], axis=0)
 
 
 def components(table: FacetTable, element_body: np.ndarray) -> np.ndarray:
-    """Return the connected parts of a mesh: elements of one body that hang together through
-    facets."""
+    """Return the number of the connected part that each element (n_elements,) belongs to: elements of one
+    body (``element_body`` (n_elements,)) that hang together through facets."""
     inner = table.second >= 0
     a = table.first[inner]
     b = table.second[inner]
@@ -777,8 +784,9 @@ def normalised(
     body_index: np.ndarray,
     body_names: Sequence[str],
 ) -> MeshArrays:
-    """Make MeshArrays of tables as files hold them: turn elements and facets, drop facets inside
-    and unused nodes; ``facet_index`` and ``body_index`` are rows of the names."""
+    """Make MeshArrays of tables as files hold them, ``points`` (n, dim), ``elements`` (m, dim + 1) and
+    ``facets`` (k, dim): turn elements and facets, drop facets inside and unused nodes.
+    ``facet_index`` (k,) and ``body_index`` (m,) are rows of the names."""
     facets = np.reshape(facets, (-1, points.shape[1]))
     _check_numbers(points, elements, facets)
     elements = positive(points, elements)
@@ -802,7 +810,7 @@ def normalised(
 
 
 def _merged(index: np.ndarray, names: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return the distinct names that are used, in their order, and the index into them."""
+    """Return the distinct ``names`` that an index (n,) uses, in their order, and the index (n,) into these."""
     used: list[int] = np.unique(index).tolist()
     distinct = tuple(dict.fromkeys(names[i] for i in used))
     new = np.array([distinct.index(name) if name in distinct else -1 for name in names])

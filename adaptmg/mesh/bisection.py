@@ -133,8 +133,8 @@ def bisect(
 
 
 def check_marked(mesh: MeshArrays, marked: np.ndarray) -> np.ndarray:
-    """Return ``marked`` as an array; TypeError or ValueError unless it is a boolean mask over the
-    elements."""
+    """Return ``marked`` as an array (n_elements,); TypeError or ValueError unless it is a boolean mask
+    over the elements."""
     marked = np.asarray(marked)
     if marked.dtype != bool:
         raise TypeError(f"marked must be a boolean mask over the elements, got {marked.dtype}")
@@ -217,8 +217,8 @@ def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> 
     """Bisect the marked elements (n_elements,) until all their edges are halved; with ``passes``,
     until each element made from them is at least that number of generations younger."""
     if passes is None:
-        return _once(mesh, marked, True)
-    result = _once(mesh, marked, False)
+        return _once(mesh, marked, every_edge=True)
+    result = _once(mesh, marked, every_edge=False)
     generation = _generations(mesh)
     # conformity may have bisected some elements of a pass several times
     for _ in range(passes - 1):
@@ -226,7 +226,7 @@ def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> 
         rest = marked[result.origin] & is_older
         if not rest.any():
             break
-        following = _once(result.mesh, rest, False)
+        following = _once(result.mesh, rest, every_edge=False)
         result = Refined(mesh=following.mesh, origin=result.origin[following.origin])
     return result
 
@@ -269,7 +269,7 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
 
 
 def _generations(mesh: MeshArrays) -> np.ndarray:
-    """Return how many bisections since the initial mesh lead to each element."""
+    """Return how many bisections (n_elements,) since the initial mesh lead to each element."""
     if mesh.refinement is not None:
         return mesh.refinement.generation
     return np.zeros(len(mesh.elements), dtype=np.int16)
@@ -318,8 +318,8 @@ def _sides(mesh: MeshArrays) -> np.ndarray:
 
 
 def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Return which pair of corners (a row of ``_PAIRS``) is the longest edge of each cell; of edges
-    of one length that with the higher node numbers."""
+    """Return which pair of corners (n,), a row of ``_PAIRS``, is the longest edge of each of ``cells``
+    (n, 3 or 4); of edges of one length that with the higher node numbers."""
     ends = cells[:, _PAIRS[cells.shape[1]]]
     low = ends.min(axis=2)
     high = ends.max(axis=2)
@@ -332,8 +332,9 @@ def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
 def _mesh_of(
     before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: np.ndarray
 ) -> MeshArrays:
-    """Return the mesh that rows of bisection hold (module docstring), with the boundaries and
-    bodies of the mesh they come from."""
+    """Return the mesh that rows of bisection (``cells``, module docstring) hold, with the points
+    (n_nodes, dim) and their parents (n_nodes, 2), and the boundaries and bodies of the mesh they
+    come from."""
     k = before.dim + 1
     elements, old_facets, marks, generation, origin = np.split(
         cells, [k, 2 * k, 2 * k + 1, 2 * k + 2], axis=1
@@ -397,6 +398,7 @@ def _halve(nodes, n_nodes, a, b):
 
 @inner_kernel
 def _has_halved_edge(cells, e, corners, nodes):
+    """Return whether a node halves an edge of element e, which has this number of ``corners``."""
     for i in range(1, corners):
         for j in range(i):
             if _midpoint_of(nodes, cells[e, i], cells[e, j]) >= 0:

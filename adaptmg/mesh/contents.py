@@ -50,9 +50,10 @@ class Contents:
 
 
 def rows_of(nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Return the rows of some nodes in a sorted table of their numbers; ValueError if one is not in
-    it."""
+    """Return the rows of ``nodes``, an array of any shape, in the sorted table of all numbers (n,);
+    ValueError if one is not in it."""
     rows = np.searchsorted(numbers, nodes)
+    # -1, which is no number, stands in the row behind the last one
     known = np.append(numbers, -1)[rows] == nodes
     if not known.all():
         raise ValueError(f"elements name nodes that it does not hold, such as {nodes[~known][0]}")
@@ -125,8 +126,9 @@ def _check(contents: Contents) -> None:
 def _cut_into_simplices(
     contents: Contents,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[str]]:
-    """Return the points, the simplices of the cells of the largest dimension, the block and the row
-    of the cell that each is a part of, and notes of what was cut."""
+    """Return the points (n, dim) in the unit of the file, the simplices (m, dim + 1) of the cells of the
+    largest dimension, the block (m,) and the row (m,) of the cell that each is a part of, and notes of
+    what was cut."""
     kinds = {kind for kind, nodes in contents.cells if len(nodes)}
     dim = max(map(dimension, kinds), default=0)
     if dim < 2:
@@ -175,7 +177,8 @@ def _block_simplices(
 
 
 def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
-    """Return the cells of which a part is flat, or lies the other way than the whole."""
+    """Return which of n cells have a part that is flat, or lies the other way than the whole; the parts
+    are the simplices ``cells`` (m, dim + 1) between ``points``, of the cells ``owner`` (m,)."""
     sizes = signed_measures(points, cells)
     whole = np.bincount(owner, sizes, minlength=n)
     return np.unique(owner[sizes * np.sign(whole[owner]) <= checks.ALIKE * np.abs(whole[owner])])
@@ -184,8 +187,9 @@ def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: in
 def _pieces(
     n: int, table: FacetTable, sets: dict[str, np.ndarray], bodies: Sequence[str] | None
 ) -> np.ndarray:
-    """Return the number of the piece of each element, in the order of their first elements. Sets of
-    cells that are bodies separate pieces; an element of several belongs to the last one."""
+    """Return the number of the piece of each element (n,), in the order of their first elements. Those
+    ``sets`` of cells (masks (n,) by name) that are bodies separate pieces; an element of several
+    belongs to the last one."""
     label = np.zeros(n, dtype=np.int64)
     for k, name in enumerate(name for name in sets if bodies is None or name in bodies):
         label[sets[name]] = k + 1
@@ -238,8 +242,9 @@ def _labelled(
     boundaries: Sequence[str] | None,
     split: bool,
 ) -> tuple[np.ndarray, np.ndarray, list[str], list[str], list[str]]:
-    """Return the facets (m, dim) that have names, on the boundary and between bodies that are
-    split; their labels (m,), from 1 on; names, notes, and notes of facets that no element has."""
+    """Return the facets (m, dim) of n nodes that have names, on the boundary and between bodies that are
+    split; their labels (m,), from 1 on; names, notes, and notes of facets that no element has.
+    ``parts`` (n_elements,) is the piece of each element."""
     # facets that may have names; ``facets_of`` holds rows of these for each name
     is_nameable = table.counts == 1
     if split:
@@ -275,8 +280,8 @@ def _labelled(
 def _claims(
     facets_of: dict[str, np.ndarray], surface_names: set[str], boundaries: Sequence[str] | None
 ) -> list[str]:
-    """Return the names in the order in which they claim facets: that of the caller, or surfaces before
-    sets of nodes, and small ones before large ones."""
+    """Return the names in the order in which they claim facets, whose rows ``facets_of`` has: that of the
+    caller (``boundaries``), or surfaces before sets of nodes, and small ones before large ones."""
     if boundaries is None:
         return sorted(facets_of, key=lambda name: (name not in surface_names, len(facets_of[name])))
     if unknown := [name for name in boundaries if name not in facets_of]:
@@ -296,7 +301,8 @@ def _of_node_sets(
     skip_volumes: bool,
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """Return for each set of nodes the rows of the ``facets`` (m, dim) that have all their nodes in it,
-    and notes of sets that are left out as volumes."""
+    and notes of sets that are left out as volumes; there are n nodes, and ``parts`` (n_elements,) is
+    the piece of each of ``elements``."""
     facets_of: dict[str, np.ndarray] = {}
     notes: list[str] = []
     between = _between(contents) if contents.node_sets else []
@@ -318,8 +324,8 @@ def _of_node_sets(
 def _of_face_sets(
     n: int, table: FacetTable, keys: np.ndarray, contents: Contents
 ) -> tuple[dict[str, np.ndarray], list[str], list[str]]:
-    """Return for each set of faces which facets, of those with some ``keys``, it names; notes, and
-    notes of facets that no element has."""
+    """Return for each set of faces which facets it names, as rows of ``keys`` (m,), the keys of those that
+    may have names; notes, and notes of facets that no element has. There are n nodes."""
     dim = table.facets.shape[1]
     facets_of: dict[str, np.ndarray] = {}
     notes: list[str] = []
@@ -355,7 +361,8 @@ def _is_volume(
     which would name all facets of its boundary.
 
     The nodes ``inside`` (n_nodes,) are a volume if they are those of some elements, of which one has
-    a node that is not ``on_facets`` (n_nodes,) of the boundary, or which are all of a piece."""
+    a node that is not ``on_facets`` (n_nodes,) of the boundary, or which are all of a piece (``parts``
+    (n_elements,) numbers the pieces)."""
     whole = inside[elements].all(axis=1)
     # every node of the set must be in such an element; nodes of no element may be in it
     covered = np.ones_like(inside)
@@ -368,7 +375,7 @@ def _is_volume(
 
 
 def _between(contents: Contents) -> list[np.ndarray]:
-    """Return rows of a middle node and the corners that it lies between, by the number of these."""
+    """Return rows (n, 1 + k) of a middle node and the k corners that it lies between, for each k."""
     rows: dict[int, list[np.ndarray]] = {}
     for kind, cells in contents.cells:
         for k, ends in enumerate(middles(kind), cells.shape[1] - len(middles(kind))):
@@ -385,8 +392,9 @@ def _completed(
     bodies: list[str],
     parts: np.ndarray | None = None,
 ) -> tuple[MeshArrays, np.ndarray]:
-    """Return the checked mesh, with the first name for facets that have none, and midpoints of
-    these."""
+    """Return the checked mesh, with the first of ``boundaries`` for facets that have no name, and the
+    midpoints (n, dim) of these. ``label`` (m,) is the name of each of ``facets`` (m, dim), ``parts``
+    (n_elements,) the body of each element, None for a single one."""
     table = facet_table(elements, len(points))
     rest = table.facets[(table.counts == 1) & ~np.isin(table.keys, facet_keys(facets, len(points)))]
     mesh = check_stranger(

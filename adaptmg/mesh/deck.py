@@ -153,6 +153,7 @@ class _Deck:
         self._read(block, path, place)
 
     def _parameters(self, block: _Block, words: list[str]) -> None:
+        """Add parameters KEY=VALUE to a block, in capitals but for names of files; note the spelling."""
         for word in filter(None, map(str.strip, words)):
             key, _, value = word.partition("=")
             key = key.strip().upper()
@@ -184,7 +185,8 @@ class _Deck:
             raise _InLine(f"{place}line {block.line}: *{block.keyword}: {error}") from error
 
     def _members(self, kind: str, word: str) -> np.ndarray:
-        """Return the numbers that a word says: one, or those of a set."""
+        """Return the numbers (n,) that a word says: one, or those of a set of this ``kind``, "NSET" or
+        "ELSET"."""
         name = word.strip('"').upper()
         if word.isdigit():
             return _counted(np.array([int(word)]))
@@ -265,6 +267,7 @@ class _Deck:
                 )
 
     def _section(self, block: _Block) -> None:
+        """Note the material of the set of elements of *SOLID SECTION, which is a body."""
         self.sections.append(block.parameters.get("ELSET", ""))
         self.notes.append(
             f"section {self._spelt(self.sections[-1])!r}: material "
@@ -272,6 +275,7 @@ class _Deck:
         )
 
     def _named(self, block: _Block) -> None:
+        """Remember the name of *MATERIAL or *SURFACE INTERACTION, for the constants that follow it."""
         setattr(
             self,
             "material" if block.keyword == "MATERIAL" else "interaction",
@@ -290,16 +294,18 @@ class _Deck:
             )
 
     def _pair(self, block: _Block) -> None:
+        """Note the slave and the master of each line of *CONTACT PAIR."""
         for row in block.rows():
             self.notes.append(
                 f"contact pair: {', '.join(map(self._spelt, map(str.upper, row[:2])))}"
             )
 
     def _spelt(self, name: str) -> str:
+        """Return a name as the deck spells it where it comes first."""
         return self.spelling.get(name, name)
 
     def _groups(self) -> dict[str, np.ndarray]:
-        """Return the elements of each set.
+        """Return the numbers (n,) of the elements of each set.
 
         Gmsh writes the elements by the entities of its geometry, say "Volume1", and then its physical
         groups, say "steel", as sets of the same elements. Of entities only those count that have an
@@ -405,7 +411,7 @@ def _number(word: str) -> float:
 
 
 def _counted(numbers: np.ndarray) -> np.ndarray:
-    """Return numbers of nodes or elements as integers."""
+    """Return numbers of nodes or elements, an array of any shape, as integers; ValueError for others."""
     if not ((numbers >= 0) & (numbers < _MOST_NUMBER) & (numbers == np.floor(numbers))).all():
         raise ValueError(f"nodes and elements are numbered from 1 to {_MOST_NUMBER - 1}")
     return numbers.astype(np.int64)
@@ -422,8 +428,8 @@ def _kind(name: str) -> str | None:
 def _faces(
     solid: list[_NumberedCells], members: np.ndarray, facet: int
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield kind and nodes of facet ``facet`` of the elements ``members``, or of all their facets if it
-    is 0."""
+    """Yield kind and nodes (m, k) of facet ``facet``, from 1 on, of the elements of the blocks ``solid`` that
+    are among the numbers ``members``, or of all their facets if it is 0."""
     for kind, elements, nodes in solid:
         rows = nodes[np.isin(elements, members)]
         facets = facets_of(kind)

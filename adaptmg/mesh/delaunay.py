@@ -81,8 +81,9 @@ def _missing_after_swaps(
     tails: np.ndarray,
     heads: np.ndarray,
 ) -> np.ndarray:
-    """Swap edges in place until triangles have the edges of the boundary from ``tails``, ascending, to
-    ``heads``, and return the mask of those that they do not have then."""
+    """Swap edges of triangles ``elements`` (m, 3) with the neighbours ``across`` (m, 3) in place until they
+    have the edges of the boundary from ``tails`` (n_edges,), ascending, to ``heads`` (n_edges,), and
+    return the mask (n_edges,) of those that they do not have then."""
     # edges from node i have the rows start[i] to start[i + 1]; triangle_of[i] is a triangle of node i,
     # the last four nodes are the corners of the square
     n = len(points) - 4
@@ -99,8 +100,9 @@ def _missing_after_swaps(
 def _inside(
     elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.ndarray, heads: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the triangles inside the boundary, which lie left of its edges from ``tails`` to
-    ``heads``, their neighbours, and which of these edges they have."""
+    """Return the triangles (m, 3) inside the boundary, of ``elements`` with the neighbours ``across``: those
+    left of its edges from ``tails`` (n_edges,) to ``heads`` (n_edges,); their neighbours (m, 3), and the
+    mask (n_edges,) of the edges that they have."""
     # the side opposite each corner, in the direction of its triangle and in the other one
     begins, ends = (np.roll(elements, -k, axis=1) for k in (1, 2))
     keys = np.stack([pair_keys(begins, ends, n_nodes), pair_keys(ends, begins, n_nodes)])

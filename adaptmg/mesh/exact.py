@@ -23,7 +23,9 @@ _AXIS = np.eye(3)[2]
 
 def surfaces_of(domain: Domain | None) -> dict[str, list[Revolved]]:
     """Return the surfaces of the faces of each boundary of a domain, m, in no order; none of a STEP
-    file, which :func:`adaptmg.mesh.step.exact_surfaces` reads."""
+    file, which :func:`adaptmg.mesh.step.exact_surfaces` reads, nor of cracks in space, whose faces
+    are plane, as their facets are."""
+    # plane domains, cracked and combined ones too, have an outline of edges: the last line takes them
     if domain is None or isinstance(domain, StepFile):
         return {}
     if isinstance(domain, Assembly):
@@ -52,6 +54,7 @@ def surfaces_of(domain: Domain | None) -> dict[str, list[Revolved]]:
 
 
 def _merged(named: Iterable[tuple[str, Revolved]]) -> dict[str, list[Revolved]]:
+    """Return the surfaces of each name."""
     result: dict[str, list[Revolved]] = {}
     for name, surface in named:
         result.setdefault(name, []).append(surface)

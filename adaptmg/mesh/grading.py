@@ -183,6 +183,7 @@ def _meshed(domain: Domain) -> Outline | Box | SolidDomain | Assembly:
 
 
 def _ratio(value: object) -> float:
+    """Return a checked ``contact_ratio``, size in the bulk over size at contact."""
     ratio = checks.number("contact_ratio", value)
     if not ratio >= 1:
         raise ValueError(
@@ -213,6 +214,7 @@ def _graded_body(
     )
 
     def field(x: np.ndarray) -> np.ndarray:
+        """Return the sizes (n,), m, at points (n, dim)."""
         sizes = (
             np.minimum(size, near + grading * distance_to_boundaries(domain, names, x))
             if names

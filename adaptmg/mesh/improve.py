@@ -125,13 +125,13 @@ _AROUND = _OCTAHEDRA[:, [[0, 1, 2 + k, 2 + (k + 1) % 4] for k in range(4)]]
 
 def _inside(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Return the four children (n, 4, 4) of the octahedron inside each element, around its shortest
-    diagonal; ``nodes`` (n, 10): corners and middles of each element."""
+    diagonal; ``nodes`` (n, 10): corners and middles of each element, rows of ``points`` (n_nodes, 3)."""
     ends = points[nodes[:, _OCTAHEDRA[:, :2]]]
     lengths = np.square(ends[:, :, 0] - ends[:, :, 1]).sum(axis=2)
     best = np.zeros(len(nodes), dtype=np.int64)
     shortest = lengths[:, 0]
     for d in (1, 2):
-        # of equal ones the first
+        # of those that rounding makes different the first
         shorter = lengths[:, d] < (1.0 - 1e-9) * shortest
         best = np.where(shorter, d, best)
         shortest = np.where(shorter, lengths[:, d], shortest)
@@ -186,8 +186,8 @@ def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
 def improve_triangles(
     points: np.ndarray, elements: np.ndarray, across: np.ndarray, held: np.ndarray, rounds: int
 ) -> None:
-    """Move the nodes of Delaunay triangles with the neighbours ``across`` that are not held, and
-    swap edges between the moves, in place."""
+    """Move the nodes ``points`` (n, 2) of Delaunay triangles ``elements`` (m, 3) with the neighbours
+    ``across`` (m, 3) that are not ``held`` (n,), and swap edges between the moves, in place."""
     around = occurrences(elements, len(points))
     for _ in range(rounds - 1):
         _move(points, elements, around, held)
@@ -202,7 +202,8 @@ def _move(
     around: tuple[np.ndarray, np.ndarray],
     held: np.ndarray,
 ) -> None:
-    """Move the nodes that are not held once, in place."""
+    """Move the nodes ``points`` (n, dim) that are not ``held`` (n,) once, in place; ``around`` are the
+    places of each node among the corners of ``elements``, from :func:`occurrences`."""
     measures = np.empty(np.diff(around[0]).max())
     for begin in range(0, len(points), _BATCH):
         _move_nodes(

@@ -264,14 +264,16 @@ def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
 
 
 def _simplices(counts: tuple[int, ...]) -> np.ndarray:
-    """Return the two triangles or six tetrahedra of the cell whose lowest node is 0, positively
-    oriented."""
+    """Return the nodes (n_simplices, dim + 1) of the two triangles or six tetrahedra of the cell whose
+    lowest node is 0, positively oriented."""
     return _corners(len(counts)) @ strides_of(counts)
 
 
 @cache
 def _corners(dim: int) -> np.ndarray:
-    """Return the places (n_simplices, dim + 1, dim) of their corners along the axes, 0 or 1."""
+    """Return the places (n_simplices, dim + 1, dim), 0 or 1 along each axis, of the corners of the
+    simplices that a cell is cut into: one for each path along its edges from its lowest node to its
+    highest."""
     simplices = []
     for path in permutations(np.eye(dim, dtype=np.int32)):
         corners = np.cumsum([np.zeros(dim, dtype=np.int32), *path], axis=0, dtype=np.int32)
@@ -281,7 +283,8 @@ def _corners(dim: int) -> np.ndarray:
 
 
 def _repeated_in(simplices: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Move the simplices (n, k) of the cell whose lowest node is 0 to each of some cells."""
+    """Return the simplices (n, k) of the cell whose lowest node is 0 in each of some cells, given by their
+    lowest nodes (m,): (m * n, k)."""
     return (cells[:, None, None] + simplices).reshape(-1, simplices.shape[1])
 
 
@@ -362,14 +365,15 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
 
 
 def _starts(counts: Iterable[int]) -> np.ndarray:
-    """Return where each of some concatenated parts begins."""
+    """Return where each of some concatenated parts with these numbers of rows begins (n,)."""
     return np.cumsum([0, *counts])[:-1]
 
 
 def per_body(
     name: str, value: Value | Mapping[str, Value], bodies: Sequence[str]
 ) -> dict[str, Value]:
-    """Return an argument for each body."""
+    """Return the value of the argument ``name`` for each body: one for all, or one by name; ValueError
+    unless the names are those of the bodies."""
     if not isinstance(value, Mapping):
         return dict.fromkeys(bodies, value)
     if set(value) != set(bodies):

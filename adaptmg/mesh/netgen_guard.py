@@ -56,6 +56,7 @@ def limit_s(nodes: float, dim: int) -> float:
 
 
 def _say_runs(function: str, seconds: float) -> None:
+    """Say on a terminal that a function of the worker takes long, and how long it may take."""
     if sys.stderr is not None and sys.stderr.isatty():
         say(
             f"adaptmg: {function} runs in Netgen's process, at most {seconds:.0f} s of the processor"

@@ -302,13 +302,14 @@ class SolidSizes:
     """Edge lengths in a solid, m."""
 
     size: float  # largest
-    names: tuple[str, ...] = ()  # boundaries along which they are
+    names: tuple[str, ...] = ()  # boundaries along which edge lengths are ``near``
     near: float = 1.0
     grading: float = GRADING  # growth of the edge length per distance, above 0 and at most 1
     function: float | SizeField | None = None
 
     def drafts(self, factor: float, slower: float) -> SolidSizes:
-        """Return the sizes of a draft, ``factor`` times as large."""
+        """Return the sizes of a draft, ``factor`` times as large, which grow by ``slower`` times the growth
+        that this would be."""
         function = self.function
         return replace(
             self,
@@ -445,7 +446,8 @@ def _at_rest(
     if isinstance(domain, Cylinder):
         axis = np.array(domain.axis)
         if np.count_nonzero(axis) > 1:
-            across = np.linalg.svd(axis[None])[2][1]
+            # rows: the axis, and two unit vectors normal to it and to each other
+            _, across, _ = np.linalg.svd(axis[None])[2]
             turn = np.column_stack([across, np.cross(axis, across), axis])
             upright = replace(domain, point=(0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0))
             return upright, turn, np.array(domain.point)
@@ -649,8 +651,8 @@ def _refined(
 
 
 def _flat_ones(mesh: MeshArrays) -> np.ndarray:
-    """Return the mask of the elements that are far from equilateral; none where many are, as in
-    thin plates."""
+    """Return the mask (n_elements,) of the elements that are far from equilateral; none where many are,
+    as in thin plates."""
     flat = mean_ratios(mesh) < _POOR
     return flat & (flat.mean() < _POOR_SHARE)
 
@@ -707,9 +709,9 @@ def _placed(unit: MeshArrays, shape: Shape) -> MeshArrays:
 
 
 def _in_metres(unit: MeshArrays, shape: Shape, turn: np.ndarray, offset: np.ndarray) -> MeshArrays:
-    """Return the mesh in m, rotated and shifted, with the names of its faces in place of their
-    numbers. Nodes of a plane face normal to an axis get one coordinate along it, free of the
-    rounding of scaling."""
+    """Return the mesh at unit size in m, rotated by the matrix ``turn`` (3, 3) and shifted by ``offset``
+    (3,), with the names of its faces in place of their numbers. Nodes of a plane face normal to an axis
+    get one coordinate along it, free of the rounding of scaling."""
     points = (shape.lower + shape.scale * unit.points) @ turn.T + offset
     reach = float(np.abs(points).max())
     for face in unit.boundaries:

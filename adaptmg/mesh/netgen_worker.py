@@ -120,8 +120,9 @@ def ngsolve_mesh(
     bodies: tuple[str, ...],
     boundaries: tuple[str, ...],
 ) -> ngsolve.Mesh:
-    """Return a mesh for NGSolve, with the same numbers of nodes, elements and facets; bodies
-    become materials. It has no geometry, so that it stays straight when it is refined."""
+    """Return the mesh of the fields of MeshArrays for NGSolve, with the same numbers of nodes, elements
+    and facets; bodies become materials. It has no geometry, so that it stays straight when it is
+    refined."""
     import ngsolve
 
     dim = points.shape[1]
@@ -155,8 +156,8 @@ def ngsolve_mesh(
 def _cut_into_simplices(
     table: np.ndarray, points: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the simplices (n, dim + 1) that elements (or without ``points`` facets) are, or are
-    cut into, and the body (label) of each."""
+    """Return the simplices (n, dim + 1) that the elements (or without ``points`` facets) of a ``table`` of
+    Netgen are, or are cut into, and the body (label) of each (n,), from 0."""
     from adaptmg.mesh.shapes import KINDS, simplices
 
     cells = []
@@ -175,6 +176,7 @@ def _cut_into_simplices(
 
 
 def _indices(what: str, index: np.ndarray, size: int) -> np.ndarray:
+    """Return an index (n,) unchanged; ValueError, which names ``what`` it is, unless it is below ``size``."""
     if index.min() < 0 or index.max() >= size:
         raise ValueError(
             f"mesh: {what} of an element must be from 1 to {size}, got {index.min() + 1} to "
@@ -236,8 +238,8 @@ def bisect(marked: np.ndarray) -> Tables:
 def _spline_geometry(
     domain: Outline, lower: np.ndarray, scale: float, sides: Mapping[str, float]
 ) -> SplineGeometry:
-    r"""Return Netgen's geometry of a plane domain at unit size, with edges called by their numbers;
-    ``sides`` are sizes along some boundaries. An arc becomes
+    r"""Return Netgen's geometry of a plane domain at unit size, (x - ``lower``) / ``scale``, with edges
+    called by their numbers; ``sides`` are sizes along some boundaries. An arc becomes
     rational quadratic splines, which are exact circles: the middle control point is the meeting
     point of the tangents, at the distance
     :math:`r / \cos(\theta / 2)` from the centre."""
@@ -405,8 +407,8 @@ def _decoded(string: str) -> str:
 
 
 def step_surface(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return points, outward triangles and the face of each, of a surface mesh of the shape of the
-    last request."""
+    """Return points (n, 3), outward triangles (m, 3) and the face of each (m,), of a surface mesh of the
+    shape of the last request."""
     mesh = OCCGeometry(_Held.shape).GenerateMesh(
         maxh=size, perfstepsend=netgen.meshing.MeshingStep.MESHSURFACE
     )
@@ -443,8 +445,8 @@ def face_distances(path: str, number: int, face: int, points: np.ndarray) -> np.
 
 
 def step_shape(path: str, number: int) -> tuple[ShapeTables, np.ndarray, float]:
-    """Return the tables of a solid of a STEP file at unit size, and its origin and its unit in the
-    file."""
+    """Return the tables of a solid of a STEP file at unit size, its lowest corner (3,) and its size, both
+    in the unit of the file."""
     solid = _step(path)[1][number]
     lower, upper = (np.array(_place(p)) for p in solid.bounding_box)
     scale = float((upper - lower).max())
@@ -592,9 +594,9 @@ def _profile_face(outline: Outline, place: Callable[[np.ndarray], Pnt]) -> Face:
 
 
 def _combination(domain: Combination, origin: np.ndarray, scale: float) -> TopoDS_Shape:
-    r"""Return the shape that a boolean operation makes. OCC may get it wrong without an error:
-    volumes are compared with the complementary ones,
-    :math:`|a \setminus b| + |a \cap b| = |a|` and :math:`|a \cup b| + |a \cap b| = |a| + |b|`."""
+    r"""Return the shape that a boolean operation makes, at (x - ``origin``) / ``scale``. OCC may
+    get it wrong without an error: volumes are compared with the complementary ones, :math:`|a
+    \setminus b| + |a \cap b| = |a|` and :math:`|a \cup b| + |a \cap b| = |a| + |b|`."""
     a, b = (_shape(part, origin, scale) for part in (domain.a, domain.b))
     for part, shape in (("a", a), ("b", b)):
         for face in shape.faces:
@@ -697,7 +699,8 @@ def _sets_of(raw: Any) -> tuple[_CellSets, dict[str, np.ndarray]]:
 
 
 def _groups(names: Mapping[int, Sequence[str]], numbers: Sequence[np.ndarray]) -> _CellSets:
-    """Return the blocks and rows of each group, from the groups of a family and the families of rows."""
+    """Return the blocks and rows of each group, from the groups of each family (``names``) and the family
+    of each row of each block (``numbers``)."""
     groups: _CellSets = {}
     for family, names_of_family in names.items():
         for name in names_of_family:

@@ -100,7 +100,8 @@ class _Side(NamedTuple):
 
 
 def _new_nodes(mesh: MeshArrays, name: str, n_old: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return new nodes of a boundary, and the mean unit normal of its facets around each."""
+    """Return new nodes (n,) of a boundary, those from number ``n_old`` on, and the mean unit normal (n, dim)
+    of its facets around each."""
     facets = mesh.boundary_facets(name)
     facets = facets[(facets >= n_old).any(axis=1)]
     nodes, number = np.unique(facets, return_inverse=True)
@@ -111,8 +112,9 @@ def _new_nodes(mesh: MeshArrays, name: str, n_old: int) -> tuple[np.ndarray, np.
 
 
 def _depth(parents: np.ndarray, n_old: int) -> np.ndarray:
-    """Count the new nodes that follow each other in the ancestry of each new node, itself
-    included."""
+    """Return how many new nodes (n_nodes,), those from number ``n_old`` on, follow each other in the
+    ancestry of each node, itself included: 1 + the largest of its ``parents`` (n_nodes, 2); 0 of old
+    ones."""
     depth = np.zeros(len(parents), dtype=np.int64)
     new = np.arange(n_old, len(parents))
     while True:

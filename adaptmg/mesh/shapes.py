@@ -151,13 +151,14 @@ def facets_of(kind: str) -> tuple[tuple[str, Corners], ...]:
 
 
 def _between(kind: str, *corners: int) -> Corners:
-    """Return the node halfway between corners of an edge, a diagonal or a face, if the kind has
-    one."""
+    """Return the node halfway between corners of an edge, a diagonal or a face (as a tuple of one), if
+    the kind has one, else an empty tuple."""
+    shape, _ = KINDS[kind]
     nodes = [
-        _CORNERS[KINDS[kind][0]] + i
-        for i, ends in enumerate(middles(kind))
-        if set(corners) <= set(ends)
+        _CORNERS[shape] + i for i, ends in enumerate(middles(kind)) if set(corners) <= set(ends)
     ]
+    # the first one: `middles` has edges before the faces, and faces before the whole cell, that contain the
+    # same corners
     return tuple(nodes[:1])
 
 
@@ -287,15 +288,16 @@ def simplices(
 
 
 def around_centres(kind: str, nodes: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return tetrahedra between facets of cells and new nodes ``first``, ... at their centres, and
-    the cell of each."""
+    """Return tetrahedra (m, 4) between facets of cells ``nodes`` (n, k) and new nodes ``first``, ... at their
+    centres, and the cell of each (m,)."""
     parts = [simplices(facet_kind, nodes[:, local]) for facet_kind, local in facets_of(kind)]
     owner = np.concatenate([cell_of for _, cell_of in parts])
     return np.column_stack([np.concatenate([found for found, _ in parts]), first + owner]), owner
 
 
 def _apex(kind: str, part: np.ndarray, points: np.ndarray | None) -> np.ndarray:
-    """Return the node of each cell that its pyramids meet in."""
+    """Return the local node (n,) of each cell ``part`` (n, k) that its pyramids meet in: its smallest node,
+    or in tetrahedra of second order with ``points`` one at the shortest diagonal of the octahedron."""
     if KINDS[kind] == ("tetra", 10) and points is not None:
         return _shorter(part, points, ((0, 5), (1, 3), (2, 4)))
     return part.argmin(axis=1)
@@ -304,7 +306,8 @@ def _apex(kind: str, part: np.ndarray, points: np.ndarray | None) -> np.ndarray:
 def _shorter(
     part: np.ndarray, points: np.ndarray, pairs: tuple[tuple[int, int], ...]
 ) -> np.ndarray:
-    """Return the first end of the shortest of some diagonals of each cell."""
+    """Return the first end (n,) of the shortest of some diagonals, ``pairs`` of local nodes, of each cell
+    ``part`` (n, k)."""
     lengths = [np.square(points[part[:, a]] - points[part[:, b]]).sum(axis=1) for a, b in pairs]
     return np.array([a for a, _ in pairs])[np.argmin(lengths, axis=0)]
 
@@ -338,8 +341,8 @@ def _cones(facets: tuple[Corners, ...], part: np.ndarray, apex: np.ndarray) -> t
 
 
 def cut_note(kind: str, counts: np.ndarray) -> str:
-    """Return how the cells of a kind were cut, '12 8-node bricks: each split into 6 tetrahedra'; ""
-    for simplices, which stay whole."""
+    """Return how the cells of a kind were cut into ``counts`` (n_cells,) simplices, '12 8-node bricks: each
+    split into 6 tetrahedra'; "" for simplices, which stay whole."""
     shape, n = KINDS[kind]
     if kind in ("triangle", "tetra"):
         return ""

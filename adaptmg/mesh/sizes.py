@@ -77,8 +77,8 @@ def in_edges(domain: Domain) -> MeshedDomain:
 def distance_to_boundaries(
     domain: Domain, boundaries: Sequence[str], points: np.ndarray
 ) -> np.ndarray:
-    """Return the distance of points to the nearest of some boundaries of a plane domain or a
-    box."""
+    """Return the distances (n,), m, of points (n, dim) to the nearest of some boundaries of a plane domain
+    or a box; infinite without boundaries."""
     if isinstance(domain, Box):
         sides = [BOX_SIDES[name] for name in boundaries]
         corners = (domain.lower, domain.upper)
@@ -120,7 +120,8 @@ def growth(value: object) -> float:
 
 
 def sizes_at(function: float | SizeField, points: np.ndarray) -> np.ndarray:
-    """Return the values (n,) of a size function; ValueError unless they are positive."""
+    """Return the values (n,), m, of a size function at points (n, dim); ValueError unless they are
+    positive."""
     values = checks.field("size_function", function, points)
     if not (values > 0).all():
         i = int(np.argmin(values))
@@ -307,7 +308,7 @@ def check_rims(domain: Outline, mesh: MeshArrays) -> MeshArrays:
 
 
 def facet_elements(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
-    """Return the elements that some boundary facets (n, dim) belong to."""
+    """Return the elements (n,) that some boundary facets (n, dim) belong to."""
     if not len(facets):
         return np.empty(0, dtype=np.int64)
     on = mask_of(facets, mesh.n_nodes)
@@ -317,8 +318,8 @@ def facet_elements(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
 
 
 def equilateral_sizes(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Return the edge length (n,) of equilateral simplices with the same measures as those with
-    corners ``cells``."""
+    """Return the edge lengths (n,), m, of equilateral simplices with the same measures as those with the
+    corners ``cells`` (n, k): elements of the space of ``points``, or facets."""
     corners = cells.shape[1]
     measures = (
         np.abs(signed_measures(points, cells))
@@ -329,7 +330,7 @@ def equilateral_sizes(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def unreachable(domain: Domain, large: np.ndarray) -> ValueError:
-    """Return the error where bisection does not reach a size field."""
+    """Return the error where bisection does not reach a size field at the elements of a mask ``large``."""
     return ValueError(
         f"the size field cannot be reached: after {MAX_BISECTIONS} bisections {large.sum()} elements of "
         f"{domain!r} are still too large; does it tend to zero at a point?"

@@ -96,7 +96,8 @@ def opened_tables(
     body: np.ndarray,
     bodies: Sequence[str],
 ) -> tuple:
-    """Return Netgen's tables with cracks opened.
+    """Return Netgen's tables with cracks opened: points, elements, facets, the label of each facet and the
+    names of labels, the body of each element and the names of bodies.
 
     ``right`` has the names of the right faces by those of the left ones, and ``normals`` outward normals
     of the left faces. Facets that would stay closed are cut at their middles first."""
@@ -135,8 +136,9 @@ def _cut_middles(
     body: np.ndarray,
     closed: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
-    """Return the tables with a new node in the middle of ``closed`` facets, which cuts them and the
-    elements on both sides in dim parts.
+    """Return the tables (points, elements, faces, and the labels of faces and bodies of elements) with a
+    new node in the middle of the faces ``closed`` (n,), which cuts them and the elements on both sides
+    in dim parts.
 
     A facet is closed if all its nodes are at tips of the slit, where nodes stay single: its two sides
     share them. The new node is not at a tip: :func:`opened` doubles it. Of closed facets of the same

@@ -109,6 +109,7 @@ def _check_closed(mesh: MeshArrays, table: FacetTable) -> None:
     kind = "edge" if mesh.dim == 2 else "face"
 
     def fail(bad: np.ndarray, what: str, facets: np.ndarray) -> None:
+        """Raise ValueError, which says ``what`` they are, if any of the facets (n, dim) is bad (n,)."""
         if bad.any():
             facet = facets[int(np.argmax(bad))]
             raise ValueError(
@@ -219,8 +220,8 @@ def quality(mesh: MeshArrays) -> MeshQuality:
 
 
 def _angles(points: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the angles (n_pairs, n) inside elements between their facets, degrees, and the
-    measures (n, dim + 1) of the facets."""
+    """Return the angles (n_pairs, n) inside ``elements`` (n, dim + 1) between ``points`` (n_nodes, dim)
+    between their facets, degrees, and the measures (n, dim + 1) of the facets."""
     sides = points[element_facets(elements)]
     first = sides[:, :, 1] - sides[:, :, 0]
     if points.shape[1] == 2:
@@ -242,7 +243,7 @@ def _angles(points: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def least_angle(points: np.ndarray, elements: np.ndarray) -> float:
-    """Return the smallest angle between facets of some elements, degrees; 0 where one is turned
+    """Return the smallest angle between facets of ``elements`` (n, dim + 1), degrees; 0 where one is turned
     over."""
     if not (
         signed_measures(points, elements)

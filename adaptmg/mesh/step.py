@@ -135,6 +135,7 @@ def _renamed(
     result = {}
 
     def new(keys: list[str], name: str) -> str:
+        """Return the new name of a body or face, which the mapping may have under any of ``keys``."""
         for key in keys:
             if key in domain.names:
                 unused.discard(key)
@@ -320,6 +321,7 @@ def touching(
 
 
 def _domain(path: str | Path | StepFile) -> StepFile:
+    """Return a StepFile, that of a path with all solids."""
     return path if isinstance(path, StepFile) else StepFile(path)
 
 
@@ -341,7 +343,8 @@ def _faces_of(worker: Netgen, solids: Mapping[str, StepSolid]) -> Iterator[tuple
 
 
 def _face(shape: Shape, number: int, name: str, triangles: np.ndarray = _NONE) -> _Face:
-    """Return a face of a shape in m; its kind is that of the surface through its samples."""
+    """Return a face of a shape in m, with the corners (n, 3, 3) of the triangles of its surface mesh, if
+    there is one; its kind is that of the surface through its samples."""
     kind = "other"
     radius = np.nan
     if surfaces := surfaces_through(shape.samples[number]):

@@ -101,7 +101,7 @@ class Revolved:
         return not self.straight and not self.profile.any()
 
     def moved(self, rotation: np.ndarray, offset: np.ndarray, scale: float = 1.0) -> Revolved:
-        """Return the surface after x goes to scale R x + offset."""
+        """Return the surface after x goes to scale R x + offset, with the matrix R (``rotation`` (3, 3))."""
         return replace(
             self,
             origin=scale * rotation @ self.origin + offset,
@@ -112,8 +112,8 @@ class Revolved:
         )
 
     def along(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Return how far (n,) the surface is from points (n, 3) near it along unit vectors (n, 3);
-        0 where they graze it, or miss it."""
+        """Return how far (n,), m, the surface is from points (n, 3) near it along unit vectors
+        ``directions`` (n, 3); 0 where they graze it, or miss it."""
         far = np.zeros(len(points))
         hit = np.ones(len(points), dtype=bool)
         for _ in range(_NEWTON):  # Newton's method for gap(point + far direction) = 0
@@ -125,13 +125,17 @@ class Revolved:
 
 
 def plane_through(point: ArrayLike, normal: ArrayLike) -> Revolved:
-    """Return the plane through a point that is normal to a unit vector."""
-    return Revolved(np.array(point), np.array(normal), np.array([0.0, 1.0]), 0.0, True)
+    """Return the plane through a point that is normal to a unit vector: a line normal to the axis, turned."""
+    return Revolved(
+        np.array(point), np.array(normal), profile=np.array([0.0, 1.0]), extent=0.0, straight=True
+    )
 
 
 def round_about(origin: ArrayLike, axis: ArrayLike, radius: float) -> Revolved:
-    """Return the cylinder of a radius about a unit vector as axis."""
-    return Revolved(np.array(origin), np.array(axis), np.array([1.0, 0.0]), radius, True)
+    """Return the cylinder of a radius about a unit vector as axis: a line parallel to it, turned."""
+    return Revolved(
+        np.array(origin), np.array(axis), profile=np.array([1.0, 0.0]), extent=radius, straight=True
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +158,8 @@ class Curved(Surface):
         return np.where(plane[self.nearest], -1, self.nearest)
 
     def _by_surface(self, facets: np.ndarray) -> Iterator[tuple[Revolved, np.ndarray]]:
-        """Yield each exact surface behind some facets, and the mask of these."""
+        """Yield each exact surface behind the facets with these numbers (n,), and the mask (n,) of those
+        that it is behind."""
         number = self.behind[facets]
         for k in np.unique(number[number >= 0]).tolist():
             yield self.exact[k], number == k
@@ -170,8 +175,8 @@ class Curved(Surface):
         return result
 
     def rises(self, facets: np.ndarray, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Return how far (n, n_points) the exact surface is from points (n, n_points, dim) of some
-        facets (n,), along unit vectors."""
+        """Return how far (n, n_points), m, the exact surface is from points (n, n_points, dim) of the facets
+        with the numbers ``facets`` (n,), along unit vectors ``directions`` (n, n_points, dim)."""
         result = super().rises(facets, points, directions)
         for surface, rows in self._by_surface(facets):
             places, along = (in_space(x[rows]).reshape(-1, 3) for x in (points, directions))
@@ -235,12 +240,13 @@ def surface_through(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
 
 
 def _plane(_points: np.ndarray, normals: np.ndarray) -> Revolved:
-    return Revolved(np.zeros(3), normals[0], np.array([0.0, 1.0]), 0.0, True)
+    """Return the plane through the origin with the first normal; :func:`surface_through` tests it."""
+    return plane_through(np.zeros(3), normals[0])
 
 
 def _round(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the centre and signed radius of the circle or sphere with the normals: points = centre +
-    radius * normals."""
+    """Return the centre (3,) and the signed radius of the circle or sphere with these points and normals
+    (n, 3): points = centre + radius * normals."""
     # least squares for the radius, in which the centre does not matter
     spread = normals - normals.mean(axis=0)
     radius = float(
@@ -250,16 +256,25 @@ def _round(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _sphere(points: np.ndarray, normals: np.ndarray) -> Revolved:
+    """Return the sphere nearest to points with these normals (n, 3)."""
     centre, radius = _round(points, normals)
-    return Revolved(centre, np.array([0.0, 0.0, 1.0]), np.zeros(2), abs(radius), False)
+    return Revolved(
+        centre,
+        axis=np.array([0.0, 0.0, 1.0]),  # any will do
+        profile=np.zeros(2),
+        extent=abs(radius),
+        straight=False,
+    )
 
 
 def _cylinder(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
+    """Return the cylinder nearest to points with these normals (n, 3), None if the normals are not in one
+    plane."""
     axis = np.linalg.svd(normals)[2][-1]  # the direction that is normal to all normals
     if np.abs(normals @ axis).max() > checks.ALIKE:
         return None
     centre, radius = _round(points - np.outer(points @ axis, axis), normals)
-    return Revolved(centre, axis, np.array([1.0, 0.0]), abs(radius), True)
+    return round_about(centre, axis, abs(radius))
 
 
 def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
@@ -284,9 +299,15 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
         [(normals * away).sum(axis=1) / np.where(r > 0, r, 1.0), normals @ axis]
     )
     if np.ptp(slopes, axis=0).max() <= checks.ALIKE:
-        return Revolved(origin, axis, slopes[0], float((plane @ slopes[0]).mean()), True)
+        return Revolved(
+            origin,
+            axis,
+            profile=slopes[0],
+            extent=float((plane @ slopes[0]).mean()),
+            straight=True,
+        )
     centre, radius = _round(plane, slopes)
-    return Revolved(origin, axis, centre, abs(radius), False)
+    return Revolved(origin, axis, profile=centre, extent=abs(radius), straight=False)
 
 
 def candidates(samples: Sequence[np.ndarray]) -> list[list[Revolved]] | None:

@@ -135,9 +135,10 @@ def _first_triangles(
     middle: np.ndarray,
     scale: float,
 ) -> tuple[np.ndarray, ...]:
-    """Lay nodes along the edges and triangulate them. Returns the nodes (n, 2), the facets (n, 2)
-    from each to the next, the edge that each facet is a part of, the triangles and their
-    neighbours; chords that the triangulation does not hold are halved first."""
+    """Lay nodes along the edges, with the sizes of ``field``, and triangulate them at (x - ``middle``) /
+    ``scale``. Returns the nodes (n, 2), the facets (n, 2) from each to the next, the edge (n,) that each
+    facet is a part of, the triangles (m, 3) and their neighbours (m, 3); chords that the triangulation
+    does not hold are halved first."""
     fractions = _spaced(domain, field, growth)
     for _ in range(_CUTS):
         nodes_of_edges = _nodes_of_edges(domain, fractions)
@@ -174,7 +175,8 @@ def _first_triangles(
 
 
 def _nodes_of_edges(domain: Outline, fractions: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the nodes (n, 2) of each edge from its vertex on, without that of the next edge."""
+    """Return the nodes (n, 2) of each edge from its vertex on, at its ``fractions`` (n,), without that of
+    the next edge."""
     result = [edge.at(t) for edge, t in zip(domain.edges, fractions, strict=True)]
     for right, left in domain.twins.items():
         # those of the left face of a crack in opposite order, but for the vertex at the beginning
@@ -185,8 +187,8 @@ def _nodes_of_edges(domain: Outline, fractions: list[np.ndarray]) -> list[np.nda
 
 
 def _joined(places: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places without those that come again, as on the faces of cracks, in their order,
-    and facets between them."""
+    """Return the places (m, 2) without those that come again, as on the faces of cracks, in their order,
+    and facets (k, 2) between them."""
     first, number = by_first_occurrence(places, axis=0)
     return places[first], number[facets]
 
@@ -194,8 +196,9 @@ def _joined(places: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndar
 def _thin_parts(
     places: np.ndarray, elements: np.ndarray, across: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find where nodes lie across the domain from facets far longer than it is thick: feet (n, 2)
-    of the nodes on these facets, and fitting sizes (n,).
+    """Find where nodes lie across the domain from facets far longer than it is thick, in triangles
+    ``elements`` (m, 3) between ``places`` with the neighbours ``across`` (m, 3), -1 behind the boundary:
+    feet (n, 2) of the nodes on these facets, and fitting sizes (n,).
 
                  c
                . |  .
@@ -216,7 +219,7 @@ def _thin_parts(
 def _beside_thin_parts(
     field: Callable[[np.ndarray], np.ndarray], feet: np.ndarray, sizes: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the field, lowered around some places to given sizes there."""
+    """Return the field, lowered around the places ``feet`` (n, 2) to given sizes (n,) there."""
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     tree = cKDTree(feet)
@@ -253,8 +256,9 @@ def _spaced(
     field: Callable[[np.ndarray], np.ndarray],
     growth: float | None,
 ) -> list[np.ndarray]:
-    """Return the fractions of each edge at which its nodes lie, its first end (0) included: the
-    integral of ds / h from one to the next is the same, about 1."""
+    """Return the fractions (n,) of each edge at which its nodes lie, its first end (0) included: the
+    integral of ds / h from one to the next is the same, about 1, with the sizes h of ``field`` (points
+    (n, 2) to sizes (n,)), whose ``growth`` along an edge is limited if it is given."""
     edges = domain.edges
     lengths = domain.lengths
     # the intervals between fractions ``at`` are halved until each is shorter than the sizes at its ends
@@ -305,8 +309,9 @@ def _filled(
     field: Callable[[np.ndarray], np.ndarray],
     growth: float | None,
 ) -> tuple[np.ndarray, ...]:
-    """Put nodes into the triangles of a boundary until none is too large for the field. Returns all
-    nodes, the triangles and their neighbours.
+    """Put nodes into the triangles ``elements`` (m, 3), with the neighbours ``across`` (m, 3), between the
+    nodes ``places`` (n, 2) of a boundary until none is too large for the field. Returns all nodes, the
+    triangles and their neighbours.
 
     A round reads the field at the new nodes, limits the growth of sizes, and puts in nodes with
     interpolated sizes, up to four times as many as there were."""
@@ -370,7 +375,7 @@ def _filled(
 
 
 def _longer(table: np.ndarray, rows: int) -> np.ndarray:
-    """Return a table with more rows, which take no memory until they are used."""
+    """Return a table (rows, ...) with more rows, which take no memory until they are used."""
     result = np.zeros((rows, *table.shape[1:]), table.dtype)
     result[: len(table)] = table
     return result
@@ -379,8 +384,8 @@ def _longer(table: np.ndarray, rows: int) -> np.ndarray:
 def _mesh(
     domain: Outline, points: np.ndarray, elements: np.ndarray, facets: np.ndarray, edge: np.ndarray
 ) -> MeshArrays:
-    """Return a mesh as arrays; Untriangulated if a triangle is turned over, or their area is not
-    that inside the boundary."""
+    """Return a mesh as arrays, with the boundary "i" of edge i (``edge`` (n_facets,) is that of each facet);
+    Untriangulated if a triangle is turned over, or their area is not that inside the boundary."""
     mesh = MeshArrays(
         points, elements, facets, edge, tuple(map(str, range(len(domain.boundaries))))
     )

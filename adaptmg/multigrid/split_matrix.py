@@ -271,10 +271,12 @@ def nodal_prolongations(hierarchy: Grids) -> list[sparse.csr_array]:
 
 
 def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> list[SplitMatrix]:
-    """Return the Galerkin matrices of all levels, coarsest first. Where the discretised matrix is
-    the Galerkin one (nested meshes) it is taken over; not with coupled bodies, whose truncated
-    matrices need more entries near contact. The finest matrix, which no truncation changes, is
-    symmetric."""
+    """Return the Galerkin matrices of all levels, coarsest first. On nested meshes the discretised
+    matrix is the Galerkin one and is taken over: where the meshes are so by construction
+    (:func:`_of_nested_elements`), which needs no test, or the matrices pass one (:func:`_nested`).
+    Not with coupled bodies, whose truncated matrices need more entries near contact. Of the finest
+    of several matrices, which no truncation changes, one half is stored: it stays symmetric. Idle
+    nodes of a level are those that no node of the next finer one is interpolated from."""
     fine = hierarchy.finest.discrete
     rows = fine.rows
     result = [split(rows, fine.fixed, symmetric=len(hierarchy) > 1)]
@@ -294,7 +296,8 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
             fixed = np.zeros(level.matrix.shape[0], dtype=bool)
             result.insert(0, split(rows, fixed))
             continue
-        # all levels above a discretised one are discretised, too
+        # all levels above a discretised one are discretised, too. By construction the coarse matrix is the
+        # Galerkin one of the discretised finer matrix, not of a product that took its place
         if not coarse.between_bodies and (
             (rows is above.discrete.rows and _of_nested_elements(hierarchy, above, level))
             or _nested(above, rows.matrix, nodal, coarse.matrix)

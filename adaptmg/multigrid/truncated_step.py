@@ -395,7 +395,9 @@ class TruncatedStep:
         self.cycle.recorder.visit(self.number, "smooth")
 
     def _projected_sweeps(self, state: TruncatedState) -> None:
-        """Sweep backward and forward, in one pass over the matrix; write f - A u to the residual."""
+        """Sweep backward and forward, half a pass over the matrix each, as both read L alone; write
+        f - A u to the residual. The forward sweep alone completes it, at contact nodes with their
+        diagonal blocks: other nodes have no residual after their solve."""
         matrix = self.matrix
         contact = state.contact
         unknowns, pressures = self.parts(state)
@@ -420,6 +422,7 @@ class TruncatedStep:
             unknowns,
             state.residual,
         )
+        # two half passes, and two sweeps
         self.cycle.recorder.count(1.0, matrix.nonzeros)
         self.cycle.recorder.visit(self.number, "smooth", 2)
 

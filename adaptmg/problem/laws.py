@@ -508,7 +508,8 @@ def _nodal(name: str, value: FieldLike | ArrayLike, n: int) -> np.ndarray:
 
 
 def _parameter(name: str, value: FieldLike | ArrayLike) -> FieldLike | ArrayLike:
-    """Return a number or an array; ValueError unless it is finite and >= 0."""
+    """Return a number or an array unchanged; TypeError for anything else, ValueError unless it is finite
+    and >= 0. Functions, which the parameter may be, too, are accepted before (``function_or``)."""
     array = checks.real_array(value)
     # an array may be that of no contact nodes
     if array is None or not (array.size or isinstance(value, np.ndarray)):

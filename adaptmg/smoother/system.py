@@ -353,6 +353,7 @@ def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) ->
             _rotated(problem.matrix, frames, problem.contact.nodes), fixed, copy=False
         )
         system = LocalSystem.from_matrix(matrix, fixed, problem.contact.nodes)
+        # the node solve knows nodes with a held tangent by the sign of an entry: see NodalContact.held
         turn_held(system.diagonal, system.nodes, nodal)
     checks.instance("system", system, LocalSystem)
     return LocalProblem(system=system, load=load, contact=nodal, frames=frames, discrete=problem)
@@ -382,6 +383,7 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     free = np.ones((len(blocks), problem.dim), dtype=bool)
     free[:, 1:] = ~held_tangents(problem)
     blocks *= (free[:, :, None] & free[:, None, :]) | np.eye(problem.dim, dtype=bool)
+    # the node solve knows nodes with a held tangent by the sign of an entry: see NodalContact.held
     turn_held(blocks, np.arange(len(blocks)), contact)
     return blocks
 
@@ -470,8 +472,10 @@ def _friction_at(
 
 
 def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) -> None:
-    """Make the entries of held tangents in flat diagonal blocks of all nodes negative, in place; see
-    :class:`NodalContact`."""
+    """Make the entry (1, 1), of the first tangent, negative in the flat diagonal blocks of nodes where a
+    support holds it and not the second, in place: by this sign the node solve knows them (see
+    ``held`` of :class:`NodalContact`). ``nodes`` (n_contact,) are the places of the contact nodes
+    among the blocks."""
     if contact.held is not None:
         blocks = diagonal.reshape(-1, 3, 3)
         at = nodes[contact.held]

@@ -256,8 +256,9 @@ def _loads(
 def _resultants(
     places: np.ndarray, forces: np.ndarray, arm: float, body: np.ndarray, count: int
 ) -> np.ndarray:
-    """Return the forces and the moments over ``arm`` (count, k), N, of the forces on each body."""
-    # x cross f, over the arm
+    """Return the forces and the moments over ``arm`` (count, k), N, of the forces on each body: in
+    space the moments about z, -y and x, in this order."""
+    # x_i f_j - x_j f_i for i < j, over the arm
     arms = places.T / arm
     axes = combinations(range(len(arms)), 2)
     moments = [arms[i] * forces[:, j] - arms[j] * forces[:, i] for i, j in axes]

@@ -557,12 +557,13 @@ class Sizes:
     def nothing_strains(self, contact: float, rounding: float, unknowns: np.ndarray) -> bool:
         """Return whether supports move the bodies, and nothing strains or holds them: all forces are
         rounding, except loads at nodes that a support holds. ``contact`` is the norm of the contact
-        forces, N. Diverged unknowns may have such forces, too, but they move more than ten times
-        as far as the supports do."""
+        forces, ``rounding`` that of a residual which is rounding, both N; ``unknowns`` (n_dofs,) are
+        those of :meth:`norm`, m. Diverged unknowns may have such forces, too, but they move more
+        than ten times as far as the supports do."""
         if not self.prescribed:
             return False
-        internal = euclidean_norm(self._in_supports(unknowns))
-        if max(self._free_load, contact, internal) > self.IDLE * rounding:
+        support_forces = euclidean_norm(self._in_supports(unknowns))
+        if max(self._free_load, contact, support_forces) > self.IDLE * rounding:
             return False
         return bool(
             np.abs(unknowns).max(initial=0.0) <= 10 * np.abs(self._problem.fixed_values).max()

@@ -300,7 +300,7 @@ def _required_friction(body: _Body, work: np.ndarray) -> str:
     n = len(body.problem.contact)
 
     def unbalanced(coefficient: float) -> float:
-        forces = _contact_forces(body, np.zeros(n), np.full(n, coefficient))
+        forces = _contact_forces(body, limit=np.zeros(n), friction=np.full(n, coefficient))
         return forces.least_unbalanced(work)[0] - checks.SIX_DIGITS
 
     if body.problem.dim == 1 or unbalanced(_STEEPEST) > 0:
@@ -390,8 +390,8 @@ class _Forces:
 
 
 def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Forces:
-    """Return the forces that nodal Tresca limits (units of the load) and friction coefficients
-    (n_contact,) admit."""
+    """Return the forces that nodal Tresca limits (n_contact,), in units of the load, and friction
+    coefficients (n_contact,) admit."""
     problem = body.problem
     dim = problem.dim
     contact = problem.contact
@@ -426,20 +426,22 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
 def _motion_to_blame(
     body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray
 ) -> np.ndarray:
-    """Return the free motion (k,) that a message blames for unbalanced work, of which ``motion`` is
-    one: if possible a motion along or about a coordinate axis; else one that opens contact, which
-    even unlimited friction does not hold; else the part of ``motion`` that slides, or ``motion`` itself if
-    the load does no work on this part."""
+    """Return the free motion (k,) that a message blames for unbalanced ``work`` (k,), of a load of size 1,
+    of which ``motion`` is one: if possible a motion along or about a coordinate axis; else one that
+    opens contact, which even unlimited friction does not hold; else the part of ``motion`` that
+    slides, or ``motion`` itself if the load does no work, up to SIX_DIGITS, on this part."""
     on_axis = _unbalanced_axis_motion(body, forces, work)
     if on_axis is not None:
         return on_axis
     n = len(body.problem.contact)
-    stuck = _contact_forces(body, np.full(n, np.inf), np.zeros(n))
+    # unlimited friction, whether a node is pressed or not: an infinite limit of Tresca's law
+    stuck = _contact_forces(body, limit=np.full(n, np.inf), friction=np.zeros(n))
     unbalanced, opening = stuck.least_unbalanced(work)
     if unbalanced > checks.SIX_DIGITS:
         return _axis_motion_or(body, stuck, work, opening)
     # unlimited friction would hold the body, so it slides. The multipliers move along an edge of a
-    # friction cone, which opens contact: the motion to blame is their part that keeps contact
+    # friction cone, which opens contact: the motion to blame is their part that keeps contact, on
+    # which no pressure works; the rows of ``sliding`` are an orthonormal basis of such motions
     sliding = _null_combinations(stuck.edges.T)
     slide = sliding.T @ (sliding @ motion)
     return slide if slide @ work > checks.SIX_DIGITS else motion

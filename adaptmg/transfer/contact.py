@@ -130,11 +130,11 @@ def with_contact_rows(
 
 @dataclass(frozen=True, eq=False)
 class LevelTransfer:
-    """Nodal prolongations from a level to the next finer."""
+    """Nodal prolongations from a level to the next finer, (n_nodes, n_nodes coarse)."""
 
-    prolongation: (
-        sparse.csr_array
-    )  # (n_nodes, n_nodes coarse) csr_array: of relative values where there is a coupling
+    prolongation: sparse.csr_array  # of relative values where there is a coupling
+    #: with rows of slave nodes that interpolate along the coarse surface, for the monotone correction; None
+    #: where ``prolongation`` has such rows itself
     surface: sparse.csr_array | None = None
 
 
@@ -231,8 +231,8 @@ def _crack_faces(mesh: MeshArrays, contact: ContactNodes) -> list[tuple[str, str
 def _on_side(
     nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, face: str, other: str
 ) -> np.ndarray:
-    """Return the fine nodes on a face of a crack, and the inner ones between the fine and the
-    coarse face that the prolongation ``nodal`` lets follow the opposite coarse face."""
+    """Return the fine nodes (n,), ascending, on a face of a crack, and the inner ones between the fine
+    and the coarse face that the prolongation ``nodal`` lets follow the opposite coarse face."""
     near = np.flatnonzero(abs(nodal) @ mask_of(coarse.boundary_nodes(other), coarse.n_nodes))
     points = fine.points[near]
     outside_coarse = _height(coarse, face, other, points) > 0
@@ -312,22 +312,27 @@ def _rows_along(
 
 
 def _rows_on_side(
-    known: np.ndarray, rows: sparse.csr_array, points: np.ndarray, coarse_points: np.ndarray
+    coarse_slaves: np.ndarray,
+    rows: sparse.csr_array,
+    points: np.ndarray,
+    coarse_points: np.ndarray,
 ) -> sparse.csr_array:
-    """Return the rows with entries in the columns ``known`` only and sums 1: scaled, or 1 at the
-    nearest of these coarse nodes where nothing is left; zero if there are none."""
-    if not len(known):
+    """Return the rows (n, n_coarse) of fine nodes at ``points`` (n, dim) with entries in the columns
+    ``coarse_slaves`` only and sums 1: scaled, or 1 at the nearest of these coarse nodes where nothing
+    is left; zero if there are none. ``coarse_points`` (n_coarse, dim) are those of all coarse nodes."""
+    if not len(coarse_slaves):
         return sparse.csr_array(rows.shape)
     same_side = sparse.csr_array(
-        rows @ sparse.diags_array(mask_of(known, rows.shape[1]).astype(float))
+        rows @ sparse.diags_array(mask_of(coarse_slaves, rows.shape[1]).astype(float))
     )
     sums = np.asarray(same_side.sum(axis=1)).ravel()
-    lost = np.flatnonzero(sums <= 1e-10)
+    lost = np.flatnonzero(sums <= CLIP)
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
-    nearest = known[cKDTree(coarse_points[known]).query(points[lost])[1]]
+    _, at = cKDTree(coarse_points[coarse_slaves]).query(points[lost])
+    nearest = coarse_slaves[at]
     filled = sparse.csr_array((np.ones(len(lost)), (lost, nearest)), shape=rows.shape)
-    scale = np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 1e-10)
+    scale = np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > CLIP)
     result = sparse.csr_array(sparse.diags_array(scale) @ same_side + filled)
     result.eliminate_zeros()
     return result
@@ -360,6 +365,7 @@ class Supports:
         return result
 
     def _over_fine(self, values: np.ndarray) -> np.ndarray:
+        """Return fine values unchanged; ValueError unless there are n_fine."""
         if len(values) != self.n_fine:
             raise ValueError(
                 f"one value a fine contact node is needed, {self.n_fine}, got {len(values)}"
@@ -423,8 +429,8 @@ def smallest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
 
 
 def largest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
-    """Return the paper's bound read literally ('smallest u_n'): max over S_k; as
-    :func:`smallest_gap`. Iterations with it stall or cycle.
+    """Return the paper's bound read literally ('smallest u_n'): the maximum of the ``opening``
+    (n_fine_contact,) over S_k, m; else as :func:`smallest_gap`. Iterations with it stall or cycle.
 
     Examples
     --------

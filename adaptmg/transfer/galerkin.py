@@ -115,8 +115,9 @@ def _prolongation(name: str, value: object) -> sparse.csr_array:
 def coarse_spaces(
     matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Sequence[sparse.csr_array]
 ) -> tuple[list[sparse.csr_array], list[sparse.bsr_array]]:
-    """Check prolongations, coarse to fine, against the matrix of the finest level, and form the
-    Galerkin matrices of all coarser levels; returns both, coarse to fine."""
+    """Check prolongations, coarse to fine, against the matrix of the finest level, whose ``fixed`` dofs
+    (n_dofs,) count as decoupled, and form the Galerkin matrices of all coarser levels; returns both,
+    coarse to fine."""
     listed = checks.listed("prolongations", prolongations, "scipy sparse matrices, coarse to fine")
     checked = [_prolongation(f"prolongations[{k}]", P) for k, P in enumerate(listed)]
     if not checked:
@@ -187,8 +188,9 @@ def aggregated_prolongations(
     """Return prolongations of dofs by smoothed aggregation (Vanek, Mandel, Brezina 1996,
     doi:10.1007/BF02238511).
 
-    Coarse to fine, (n_dofs, n_dofs coarse) each, none if the matrix is small. Without modes the
-    translations are taken; ``max_coarse`` bounds the nodes of the coarsest level."""
+    Coarse to fine, (n_dofs, n_dofs coarse) each, none if the matrix is small. ``near_nullspace``
+    (n_dofs, n_modes) are motions of little energy, made zero at ``fixed`` dofs (n_dofs,); None
+    stands for translations. ``max_coarse`` bounds the nodes of the coarsest level."""
     import pyamg
 
     dim = matrix.blocksize[0]

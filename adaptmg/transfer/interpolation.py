@@ -227,6 +227,7 @@ def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
     for coarse_cells, fine_cells in zip(coarse.lattices, fine.lattices, strict=True):
         next_node = node + math.prod(n + 1 for n in fine_cells)
         next_column = column + math.prod(m + 1 for m in coarse_cells)
+        # the first and the last node of a body are opposite corners of its box
         ends_of_coarse = coarse.points[[column, next_column - 1]]
         if (ends_of_coarse != fine.points[[node, next_node - 1]]).any():
             return None
@@ -299,8 +300,8 @@ CLIP = 1e-10
 
 
 def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -> sparse.csr_array:
-    """Return sparse rows from a fixed number of weights each: sorted, without those below ``CLIP``,
-    with sums 1."""
+    """Return sparse rows (n, n_columns) with the ``weights`` (n, k) in the ``columns`` (n, k): sorted,
+    without those below ``CLIP``, with sums 1."""
     weights = np.where(weights < CLIP, 0.0, weights)
     weights = weights / weights.sum(axis=1, keepdims=True)
     result = _rows(columns.astype(np.int32), weights, weights > 0, n_columns)
@@ -337,6 +338,7 @@ def _with_moments(
     residual -= np.add.reduceat(matrix.data[:, None] * q, starts)
     multiplier = np.zeros(residual.shape)
     reached = np.ones(fine.n_nodes, dtype=bool)
+    # smaller residuals, of moments of about 1, are rounding
     inexact = np.flatnonzero(np.abs(residual).max(axis=1) > 4 * np.finfo(float).eps)
     gram = np.array([[np.add.reduceat(a * b, starts)[inexact] for a in q.T] for b in q.T]).T
     inverse = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
@@ -374,7 +376,7 @@ _SAMPLE = 5000
 
 
 def _size_ratios(coarse: MeshArrays, fine: MeshArrays, step: int) -> np.ndarray:
-    """Return h_coarse / h_fine at the centroids of every ``step``-th fine element of each body."""
+    """Return h_coarse / h_fine (n,) at the centroids of every ``step``-th fine element of each body."""
     ratios = []
     for body, locator in body_locators(coarse, fine):
         elements = (

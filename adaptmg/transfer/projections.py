@@ -93,7 +93,8 @@ class PseudoL2(_Projection):
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
         coefficients = (integrals.fine.dim + 2) * integrals.shape_coefficients() - 1.0
-        coefficients /= integrals.lumped_mass[integrals.patches[0]][:, None]
+        nodes, _, _ = integrals.patches
+        coefficients /= integrals.lumped_mass[nodes][:, None]
         return interpolation.clipped_rows(
             integrals.assemble(coefficients), integrals.coarse, integrals.fine
         )[0]
@@ -256,8 +257,8 @@ class MixedMass:
 
     @cached_property
     def patches(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return for each corner of a fine element, node by node, the node, the element and the
-        number of the corner."""
+        """Return for each corner of a fine element (n_elements * (dim + 1),), node by node, the node, the
+        element and the number of the corner."""
         k = self.fine.dim + 1
         order = np.argsort(self.fine.elements, axis=None, kind="stable")
         return self.fine.elements.ravel()[order], order // k, order % k

@@ -74,7 +74,6 @@ def periodic():
     ), replace(mesh)
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the bodies span")
 @pytest.mark.parametrize(
     "posed",
