@@ -39,8 +39,8 @@ class BlockRows:
         result = cls(
             dim=matrix.blocksize[0],
             kinds=np.empty(0, dtype=np.uint8),
-            indptr=read_only(matrix.indptr),
-            indices=read_only(matrix.indices),
+            indptr=matrix.indptr,
+            indices=matrix.indices,
             data=matrix.data.reshape(-1),
         )
         result.__dict__["matrix"] = matrix
@@ -67,8 +67,8 @@ class BlockRows:
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return what kernels read."""
-        return self.kinds, self.indptr, self.indices, self.data
+        """Return what kernels read: kinds, row pointers, columns and blocks."""
+        return read_only(self.kinds), read_only(self.indptr), read_only(self.indices), self.data
 
     @property
     def n_nodes(self) -> int:

@@ -211,9 +211,9 @@ def repeated_rows(
     shifts = large_numbers[sample.indices] - np.repeat(large_numbers, np.diff(sample.indptr))
     return BlockRows(
         dim=mesh.dim,
-        kinds=read_only(kinds),
-        indptr=read_only(sample.indptr),
-        indices=read_only(shifts),
+        kinds=kinds,
+        indptr=sample.indptr,
+        indices=shifts,
         data=sample.data.reshape(-1),
     )
 
