@@ -72,24 +72,23 @@ def random_start(case, law, seed):
 @pytest.mark.parametrize("method", ["single", "V", "W", "F", "symmetric"])
 def test_the_energy_of_iterates_never_rises(method, case, law):
     local = am.smoother.local_system(grids(case, law).finest.discrete)
-    for seed in range(2):
-        start = random_start(case, law, seed)
-        energies = []
-        for cycles in (1, 2, 3, 5):
-            solver = replace(
-                METHODS[method],
-                **{"max_sweeps" if method == "single" else "max_cycles": cycles},
-            )
-            iterate = am.solve(grids(case, law), solver, start=start, throw=False).displacement
-            w = local.to_local(local.discrete.relative(iterate))
-            energies.append(tresca_energy(local, w))
-            normal = w.reshape(-1, local.system.dim)[local.system.nodes, 0]
-            assert (normal <= local.contact.gap + 1e-15).all()
-        least = tresca_energy(
-            local, local.to_local(local.discrete.relative(exact(case, law).displacement))
+    start = random_start(case, law, 0)
+    energies = []
+    for cycles in (1, 2, 3, 5):
+        solver = replace(
+            METHODS[method],
+            **{"max_sweeps" if method == "single" else "max_cycles": cycles},
         )
-        assert (np.diff(energies) <= 1e-12 * np.abs(energies[0])).all()
-        assert energies[0] > energies[-1] >= least - 1e-12 * abs(least)
+        iterate = am.solve(grids(case, law), solver, start=start, throw=False).displacement
+        w = local.to_local(local.discrete.relative(iterate))
+        energies.append(tresca_energy(local, w))
+        normal = w.reshape(-1, local.system.dim)[local.system.nodes, 0]
+        assert (normal <= local.contact.gap + 1e-15).all()
+    least = tresca_energy(
+        local, local.to_local(local.discrete.relative(exact(case, law).displacement))
+    )
+    assert (np.diff(energies) <= 1e-12 * np.abs(energies[0])).all()
+    assert energies[0] > energies[-1] >= least - 1e-12 * abs(least)
 
 
 @every_method

@@ -177,6 +177,7 @@ def on_mesh(problem, mesh):
     return am.solve(am.Hierarchy.from_meshes(problem, [mesh]), am.ActiveSet(rtol=1e-6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", [am.Bisect(), am.Remesh()], ids=["bisected", "remeshed"])
 @pytest.mark.parametrize("clearance", [1e-3, 0.0], ids=["clearance", "equal arcs"])
 def test_adapted_meshes_have_the_peak_of_a_matching_mesh(engine, clearance):

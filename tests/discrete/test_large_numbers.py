@@ -74,6 +74,7 @@ def periodic():
     ), replace(mesh)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the bodies span")
 @pytest.mark.parametrize(
     "posed",

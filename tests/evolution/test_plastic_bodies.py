@@ -212,6 +212,7 @@ def test_stresses_balance_the_forces_of_contact_and_supports(punch):
         assert result.certificate()["equilibrium"].relative < 1e-6
 
 
+@pytest.mark.slow
 def test_the_punch_meets_its_limit_load(punch):
     """939 nodes; smoothed elements come nearer. The multigrid agrees with the active set method."""
     path = am.LoadPath({"punch": [0.25, 0.5, 0.75]})

@@ -161,6 +161,7 @@ def test_a_path_on_the_same_mesh_goes_on_as_if_nothing_had_happened(elements, tm
         am.solve_path(grids, path, TIGHT, store=store)
 
 
+@pytest.mark.slow
 def test_forces_after_a_change_of_meshes_are_those_of_the_new_mesh():
     """Prandtl's punch: the force dips where the mesh changes, and is that of an uninterrupted run
     from the next step on."""

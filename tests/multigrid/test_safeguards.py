@@ -37,8 +37,8 @@ def nearly_sliding(dim, law, held):
 
 def test_a_body_held_by_contact_alone():
     problem = nearly_sliding(2, am.Coulomb(0.3), 0.3)
-    nested = am.Hierarchy.uniform(problem, divisions=(4, 8, 16))
-    independent = am.Hierarchy.graded(problem, sizes=(10e-3, 5e-3, 2.5e-3), contact_ratio=2)
+    nested = am.Hierarchy.uniform(problem, divisions=(2, 4, 8))
+    independent = am.Hierarchy.graded(problem, sizes=(10e-3, 5e-3), contact_ratio=2)
     far = np.full((nested.finest.n_nodes, 2), 1e-3)
     for grids, start, *solvers in (
         (
