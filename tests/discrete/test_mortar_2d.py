@@ -76,7 +76,7 @@ def flat(rng, *, overhang):
 
 
 class TestFlat:
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=50, deadline=None)
     @given(
         seed=SEEDS,
         overhang=st.booleans(),

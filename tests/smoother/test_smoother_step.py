@@ -245,7 +245,7 @@ def test_bad_arrays(changes, error, message):
         am.ProjectedGaussSeidel().smooth(problem.system, **given)
 
 
-EXAMPLES = settings(max_examples=100, deadline=None)
+EXAMPLES = settings(max_examples=50, deadline=None)
 BOUNDS = {
     "frictionless": (0.0, 0.0),
     "tresca": (1.0, 0.0),
