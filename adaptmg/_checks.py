@@ -351,6 +351,8 @@ def array(
 
 def _check_shape(name: str, shape: tuple[int, ...], expected: tuple[int | None, ...]) -> None:
     """Raise ValueError unless ``shape`` is ``expected``, where None stands for any size."""
+    if shape == expected:
+        return
     if len(shape) != len(expected) or any(
         size is not None and size != n for size, n in zip(expected, shape, strict=True)
     ):
@@ -449,13 +451,19 @@ def no_entries(shape: tuple[int, int]) -> sparse.csr_array:
     return sparse.csr_array(shape)
 
 
+def freeze(*values: object) -> None:
+    """Close the arrays among some values to writing."""
+    for value in values:
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+
+
 def indices_frozen(matrix: _Compressed) -> _Compressed:
     """Return the matrix with read-only copies of its index arrays."""
     if not (matrix.indices.flags.writeable or matrix.indptr.flags.writeable):
         return matrix
     arrays = matrix.indices.copy(), matrix.indptr.copy()
-    for array in arrays:
-        array.flags.writeable = False
+    freeze(*arrays)
     return type(matrix)((matrix.data, *arrays), shape=matrix.shape)
 
 

@@ -495,9 +495,8 @@ def _notes_on_extent(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     """Return a message if the mesh is not one of the domain; chords of arcs may miss it a little."""
     if not hasattr(problem.domain, "lower") or mesh.dim != problem.dim:  # no domain, or a STEP file
         return []
-    points = mesh.points[mesh.facets.reshape(-1)]
     # lowest and highest corners of the boxes around mesh and domain
-    mesh_box = np.stack([points.min(axis=0), points.max(axis=0)])
+    mesh_box = mesh.box
     domain_box = np.stack([problem.domain.lower, problem.domain.upper])
     extent = np.ptp(domain_box, axis=0).max()
     beyond = np.abs(mesh_box - domain_box)

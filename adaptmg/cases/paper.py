@@ -40,7 +40,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -54,6 +54,7 @@ def constant_friction(law: Law) -> float | None:
     return law.friction if isinstance(law, am.Coulomb) and isinstance(law.friction, float) else None
 
 
+@cache
 def defaults_of(case: Callable[..., object]) -> dict[str, object]:
     """Return the default arguments of a case, without its law."""
     arguments = inspect.signature(case).parameters.values()

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -118,10 +118,7 @@ class ContactNodes:
                 "for an interference fit say allow_interference=True"
             )
         weights = _uniform(1.0, n) if weights is None else bounded("weights", weights, (n,))
-        if not weights.min(initial=1.0) >= SMALLEST:
-            raise ValueError(
-                f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}"
-            )
+        _check_weights(weights)
         if slip_reference is None:
             slip_reference = _uniform(0.0, normals.shape)
         else:
@@ -138,11 +135,6 @@ class ContactNodes:
         masters = ("",) * len(names) if masters is None else _checked_masters(masters)
         if len(masters) != len(names):
             raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
-        shares = checks.no_entries((n, 0))
-        if taken_over is not None:
-            shares = sparse.csr_array(checks.sparse_matrix("taken_over", taken_over, (n, None)))
-            if not shares.data.min(initial=0.0) >= 0:
-                raise ValueError(f"taken_over must be >= 0, got {shares.data.min():.6g}")
         # the class is frozen: its fields are set once, here
         self.__dict__.update(
             nodes=nodes,
@@ -155,11 +147,44 @@ class ContactNodes:
             boundary=boundary,
             names=names,
             masters=masters,
-            taken_over=shares,
+            taken_over=_checked_shares(taken_over, n),
             opposite_gaps=opposite_gaps,
             compliance=compliance,
             exponent=_at_least(1.0, "exponent", exponent, n),
         )
+
+    @classmethod
+    def assembled(
+        cls,
+        *,
+        normals: np.ndarray,
+        gaps: np.ndarray,
+        weights: np.ndarray,
+        taken_over: sparse.csr_array | None,
+        **parts: Any,
+    ) -> ContactNodes:
+        """Return the nodes of a problem of bodies, all arrays of which the package has assembled: they
+        are not copied, and only what a user's surfaces may make too large or too small is checked."""
+        n = len(gaps)
+        _check_weights(weights)
+        result = cls.__new__(cls)
+        result.__dict__.update(
+            normals=normals / np.linalg.norm(normals, axis=1)[:, None],
+            gaps=bounded("gaps", gaps, (n,), checks.VAST),
+            weights=weights,
+            accumulated_slip=np.zeros(n),
+            opposite_gaps=np.full(n, np.inf),
+            taken_over=_checked_shares(taken_over, n),
+            **parts,
+        )
+        checks.freeze(*vars(result).values())
+        return result
+
+    def posing(self, **parts: object) -> ContactNodes:
+        """Return the nodes with other parts (gaps, ...), which have been checked."""
+        result = copy.copy(self)
+        result.__dict__.update(parts)
+        return result
 
     __repr__ = brief
 
@@ -195,13 +220,11 @@ class ContactNodes:
         u_n = np.einsum("nd,nd->n", displacement, self.normals)
         opposite_is_nearer = self.gaps - u_n > self.opposite_gaps + u_n
         # of two obstacles g - u_n and g' + u_n are the distances
-        facing_nearest = copy.copy(self)
-        facing_nearest.__dict__.update(
+        return self.posing(
             normals=np.where(opposite_is_nearer[:, None], -self.normals, self.normals),
             gaps=np.where(opposite_is_nearer, self.opposite_gaps, self.gaps),
             opposite_gaps=np.full(len(self), np.inf),
         )
-        return facing_nearest
 
     @property
     def measures(self) -> np.ndarray:
@@ -212,6 +235,24 @@ class ContactNodes:
         weights`` times the mean gap. A node i that both surfaces share, as the tip of a crack, does
         not open: g_i is 0 in this sum and in the mean."""
         return self.weights * (1 + self.taken_over.sum(axis=1))
+
+
+def _check_weights(weights: np.ndarray) -> None:
+    """Raise ValueError unless the weights of contact nodes are positive."""
+    if not weights.min(initial=1.0) >= SMALLEST:
+        raise ValueError(f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}")
+
+
+def _checked_shares(
+    taken_over: sparse.sparray | sparse.spmatrix | None, n: int
+) -> sparse.csr_array:
+    """Return the shares (n, n_nodes) that n contact nodes take over, >= 0; (n, 0) for None."""
+    if taken_over is None:
+        return checks.no_entries((n, 0))
+    shares = sparse.csr_array(checks.sparse_matrix("taken_over", taken_over, (n, None)))
+    if not shares.data.min(initial=0.0) >= 0:
+        raise ValueError(f"taken_over must be >= 0, got {shares.data.min():.6g}")
+    return shares
 
 
 def _uniform(value: float, shape: int | tuple[int, ...]) -> np.ndarray:

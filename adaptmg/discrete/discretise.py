@@ -112,8 +112,8 @@ def assembled(
         )
     parts |= _initial_strain_parts(posed, parts["volumes"])
     parts |= _matrix_part(posed, effective)
-    for array in (parts["load"], posed.fixed, values, *posed.bodies.values()):
-        array.flags.writeable = False  # what nobody writes is not copied
+    # what nobody writes is not copied
+    checks.freeze(parts["load"], posed.fixed, values, *posed.bodies.values())
     result = DiscreteProblem.assembled(posed.rows.follows, **parts)
     check_held(posed, result)
     return result
@@ -145,7 +145,7 @@ def _initial_strain_parts(posed: Posed, volumes: Volumes) -> dict[str, Any]:
     if not strains:
         return {
             "strain_free": None,
-            "volumes": replace(volumes, expansion=0.0),
+            "volumes": replace(volumes, expansion=0.0) if len(volumes) else volumes,
         }
     data = StressData.of(mesh, posed.materials, strains, problem.elements)
     return {

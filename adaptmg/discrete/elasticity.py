@@ -155,8 +155,7 @@ def stiffness(
         mesh.n_nodes,
         data.size,
         ZERO[dim],
-        of_nodes.indptr,
-        of_nodes.indices,
+        *of_nodes,
         patches.start,
         patches.nodes,
         patches.slopes,
@@ -398,16 +397,20 @@ def shape_gradients(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     return slopes, measures
 
 
-def patches_of_nodes(start: np.ndarray, nodes: np.ndarray, n_nodes: int) -> sparse.csc_array:
-    """Return the patches of each node (n_patches, n_nodes), ascending; patch p has
-    ``nodes[start[p]:start[p + 1]]``."""
-    ones = np.ones(len(nodes), dtype=np.int8)
-    return sparse.csr_array((ones, nodes, start), shape=(len(start) - 1, n_nodes)).tocsc()
+def patches_of_nodes(
+    start: np.ndarray, nodes: np.ndarray, n_nodes: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``begin`` (n_nodes + 1,) and ``patches`` (n,): node i is in the ascending patches
+    ``patches[begin[i]:begin[i + 1]]``, and patch p has ``nodes[start[p]:start[p + 1]]``."""
+    begin = np.zeros(n_nodes + 2, dtype=start.dtype)
+    patches = np.empty(len(nodes), dtype=start.dtype)
+    _sort_by_nodes(start, nodes, begin, patches)
+    return begin[:-1], patches
 
 
-def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> sparse.csc_array:
-    """Return the elements of each node (n_elements, n_nodes), ascending."""
-    return patches_of_nodes(starts_of(elements), elements.reshape(-1), n_nodes)
+def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the elements of each node, ascending, as :func:`patches_of_nodes`."""
+    return patches_of_nodes(starts_of(elements), read_only(elements.reshape(-1)), n_nodes)
 
 
 def starts_of(elements: np.ndarray) -> np.ndarray:
@@ -421,13 +424,13 @@ def starts_of(elements: np.ndarray) -> np.ndarray:
 
 
 def pattern(
-    of_nodes: sparse.csc_array, start: np.ndarray, nodes: np.ndarray
+    of_nodes: tuple[np.ndarray, np.ndarray], start: np.ndarray, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return row pointers (n_nodes + 1,) and sorted columns of the matrix of patches, of which patch p
-    has ``nodes[start[p]:start[p + 1]]``; ValueError for a node without one."""
-    n = of_nodes.shape[1]
+    """Return row pointers (n_nodes + 1,) and sorted columns of the matrix of patches, which
+    :func:`patches_of_nodes` returned ``of_nodes``; ValueError for a node without one."""
+    n = len(of_nodes[0]) - 1
     indptr = np.zeros(n + 1, dtype=np.int64)
-    arguments = of_nodes.indptr, of_nodes.indices, start, nodes, indptr
+    arguments = *of_nodes, start, nodes, indptr
     columns = in_parts(_find_neighbours, n, 8 * len(nodes), *arguments)
     if not indptr[1:].all():
         raise ValueError(f"node {np.argmin(indptr[1:])} belongs to no element; remove unused nodes")
@@ -447,6 +450,22 @@ def separate_bodies(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     points = np.concatenate([mesh.points, mesh.points[doubled_nodes]])
     elements = numbers.astype(np.int32).reshape(mesh.elements.shape)
     return read_only(elements), read_only(points)
+
+
+@kernel
+def _sort_by_nodes(start, nodes, begin, patches):
+    """Write the arrays of :func:`patches_of_nodes`, ``begin`` with one more entry: sorted by counting.
+    On a mesh of 289 nodes the transpose of a sparse matrix, which does the same, takes 60 us more."""
+    for node in nodes:
+        begin[node + 2] += 1
+    for i in range(2, len(begin)):
+        begin[i] += begin[i - 1]
+    # begin[i + 1] is the place of the next patch of node i, in the end that behind its last one
+    for patch in range(len(start) - 1):
+        for at in range(start[patch], start[patch + 1]):
+            i = nodes[at] + 1
+            patches[begin[i]] = patch
+            begin[i] += 1
 
 
 @kernel

@@ -29,6 +29,9 @@ PLASTIC_EDGE_PART = 0.3 - 2 / 3
 #: components of the columns, and where they stand in the order of Voigt
 PAIRS = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)])
 _VOIGT = [0, 1, 2, 5, 3, 4]
+_SHEAR_PART = np.diag(
+    [2.0, 2.0, 2.0, 1.0, 1.0, 1.0]
+)  # of an isotropic tensor with the shear modulus 1
 
 
 def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]:
@@ -166,7 +169,7 @@ def isotropic(
     plane stress. Lame's first constant is cut off at ``most`` shear moduli."""
     lame = np.minimum(lame, most * shear)
     k = 2 * mesh.dim
-    table = shear[:, None, None] * np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])[:k, :k]
+    table = shear[:, None, None] * _SHEAR_PART[:k, :k]
     table[:, :3, :3] += lame[:, None, None]
     # the row zz of a sheet gives the strain through the thickness, not a stress: -lambda / (2 mu) of
     # the strains in the plane, as lambda is that of plane stress

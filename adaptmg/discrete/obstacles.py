@@ -37,9 +37,9 @@ def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInte
     normals, given_gaps = facing_obstacle(
         contact.obstacle, contact.boundary, mesh.points[nodes], boundaries.outward[k]
     )
-    gaps = np.array(given_gaps, dtype=np.float64)
     # overlaps within rounding count as 0
-    gaps[(gaps < 0) & (gaps > -checks.ROUNDING * np.linalg.norm(mesh.sides))] = 0.0
+    rounding = checks.ROUNDING * np.linalg.norm(mesh.sides)
+    gaps = np.where((given_gaps < 0) & (given_gaps > -rounding), 0.0, given_gaps)
     if gaps.min(initial=0.0) < 0 and not may_overlap(contact):
         deepest = int(np.argmin(gaps))
         raise ValueError(

@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 
@@ -41,7 +41,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.contact_nodes import ContactNodes, check_bounds
+from adaptmg.discrete.contact_nodes import ContactNodes, bounded, check_bounds
 from adaptmg.discrete.coordinates import held_slaves
 from adaptmg.discrete.elasticity import dofs_of, nodes_of_pieces
 from adaptmg.discrete.moduli import body_materials
@@ -172,23 +172,37 @@ class Posed(Boundaries):
         # dofs and values along inclined directions, appended to those along axes
         for name, part in self.inclined.moved.items():
             result[name] = tuple(map(np.append, result[name], (dofs, part.reshape(-1))))
-        # jumps of periodic sides, along what supports leave free
-        for tie, part in zip(self.problem.ties, self.ties, strict=True):
-            if isinstance(tie, Periodic) and tie.jump is not None:
-                dofs = dofs_of(part.nodes, self.mesh.dim)
-                jumps = self.free_part(part.nodes, np.tile(tie.jump, (len(part.nodes), 1)))
-                before = result.get(tie.path_name, (dofs[:0], jumps[:0]))
-                result[tie.path_name] = tuple(map(np.append, before, (dofs, jumps)))
+        for name, nodes, jumps in self.jumps:
+            dofs = dofs_of(nodes, self.mesh.dim)
+            before = result.get(name, (dofs[:0], jumps[:0]))
+            result[name] = tuple(map(np.append, before, (dofs, jumps)))
         return result
+
+    @cached_property
+    def jumps(self) -> Sequence[tuple[str, np.ndarray, np.ndarray]]:
+        """Return the names of periodic sides with a jump, their tied nodes (n,), and the jumps (n, dim) along
+        what supports leave free, m."""
+        return [
+            (
+                tie.path_name,
+                part.nodes,
+                self.free_part(part.nodes, np.tile(tie.jump, (len(part.nodes), 1))),
+            )
+            for tie, part in zip(self.problem.ties, self.ties, strict=True)
+            if isinstance(tie, Periodic) and tie.jump is not None
+        ]
 
     @cached_property
     def prescribed(self) -> np.ndarray:
         """Return the displacement (n_nodes, dim) along directions that supports hold, and the jump of
         tied nodes, m; 0 elsewhere."""
-        result = np.zeros(self.mesh.points.size)
-        for dofs, values in self.prescribed_parts.values():
-            result[dofs] += values
-        return result.reshape(self.mesh.points.shape)
+        _, along_axes = self.held
+        result = along_axes + 0.0  # a copy, with 0.0 in place of -0.0
+        for part in self.inclined.moved.values():
+            result[self.inclined.nodes] += part
+        for _, nodes, jumps in self.jumps:
+            result[nodes] += jumps
+        return result
 
     @cached_property
     def nodes(self) -> np.ndarray:
@@ -331,7 +345,7 @@ class Posed(Boundaries):
         nodes = rows.nodes[touching]
         owner = rows.owner[touching]
         taken = None if rows.taken_over is None else rows.taken_over[touching]
-        return ContactNodes(
+        return ContactNodes.assembled(
             nodes=nodes,
             normals=self.free_part(nodes, rows.normals[touching]),
             gaps=rows.gaps[touching],
@@ -379,7 +393,9 @@ class Posed(Boundaries):
                 on_boundary = owner == k
                 of_pressure = layer.at_points(self.mesh.points[nodes[on_boundary]])
                 of_force = of_pressure / weights[on_boundary] ** (1 / layer.exponent)
-                compliance[on_boundary] = of_force * summed_gaps[on_boundary]
+                compliance[on_boundary] = bounded(
+                    "compliance", of_force * summed_gaps[on_boundary], of_force.shape, checks.VAST
+                )
                 exponent[on_boundary] = layer.exponent
         return {"compliance": compliance, "exponent": exponent}
 
@@ -390,7 +406,7 @@ class Posed(Boundaries):
         contact = self._contact_nodes(self.rows)
         if not self.prescribed.any():  # a level of 81 nodes takes .88 ms in place of 1.09
             return contact
-        return replace(contact, gaps=contact.gaps - self.approached(self.prescribed))
+        return contact.posing(gaps=contact.gaps - self.approached(self.prescribed))
 
 
 def _evaluated(law: Law, points: np.ndarray, weights: np.ndarray) -> Law:

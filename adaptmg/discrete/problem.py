@@ -325,12 +325,10 @@ class DiscreteProblem(Unknowns):
         :meth:`at_contact` has it, and come after ``accumulated_slip`` (n_contact,), m.
         ``volumes`` have the initial strains of the step. ``fixed_values`` and ``gaps`` (n_contact,),
         m, are those of this problem unless they are given."""
-        # a copy without the checks of all its arrays; the class is frozen
-        contact = copy.copy(self.contact)
-        contact.__dict__.update(
+        contact = self.contact.posing(
             slip_reference=slip_reference,
             accumulated_slip=accumulated_slip,
-            gaps=contact.gaps if gaps is None else gaps,
+            gaps=self.contact.gaps if gaps is None else gaps,
         )
         values = self.fixed_values
         if fixed_values is not None:

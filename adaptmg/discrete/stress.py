@@ -388,16 +388,16 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     cells, points = separate_bodies(mesh)
     corners = cells.shape[1]
     centroids = sum(mesh.points.take(nodes, axis=0) for nodes in mesh.elements.T) / corners
-    by_node = elements_of_nodes(cells, len(points))
+    begin, elements = elements_of_nodes(cells, len(points))
     # which elements are at which nodes (n_points, n_elements), and the transpose
     incidence = sparse.csr_array(
-        (np.ones(cells.size), by_node.indices, by_node.indptr), shape=(len(points), len(cells))
+        (np.ones(cells.size), elements, begin), shape=(len(points), len(cells))
     )
     transposed = sparse.csr_array(
         (np.ones(cells.size), cells.reshape(-1), corners * np.arange(len(cells) + 1)),
         shape=(len(cells), len(points)),
     )
-    inner = _surrounded_nodes(cells, by_node)
+    inner = _surrounded_nodes(cells, (begin, elements))
     fits, determined = _fits(incidence[inner], points[inner], centroids, values)
     inner = inner[determined]
     fits = fits[determined]
@@ -415,12 +415,12 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     return cells, nodal
 
 
-def _surrounded_nodes(cells: np.ndarray, by_node: sparse.csc_array) -> np.ndarray:
+def _surrounded_nodes(cells: np.ndarray, by_node: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """Return the inner nodes. By Euler's formula F elements that surround a node have F other nodes, in
     space F / 2 + 2; around a boundary node they have more."""
     indptr, _ = pattern(by_node, starts_of(cells), cells.reshape(-1))
     n_others = np.diff(indptr) - 1
-    n_elements = np.diff(by_node.indptr)
+    n_elements = np.diff(by_node[0])
     in_plane = cells.shape[1] == 3
     return np.flatnonzero(n_others == n_elements if in_plane else 2 * n_others == n_elements + 4)
 

@@ -434,9 +434,14 @@ class Boundaries:
         return held_directions(self.holds)
 
     @cached_property
+    def held(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mask and the values (n_nodes, dim), m, of the components that supports hold."""
+        return held_components(self.mesh.points, self.holds)
+
+    @property
     def fixed(self) -> np.ndarray:
         """Return the mask (n_nodes, dim) of the components that supports hold."""
-        return held_components(self.mesh.points, self.holds)[0]
+        return self.held[0]
 
     @cached_property
     def inclined(self) -> Inclined:
@@ -451,7 +456,10 @@ class Boundaries:
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Return vectors (n, dim) at some nodes without their parts along directions that supports
         hold."""
-        return vectors - np.einsum("nij,nj->ni", self.held_spans(nodes), vectors)
+        result = np.where(self.fixed[nodes], 0.0, vectors)
+        if len(self.inclined):
+            result -= np.einsum("nij,nj->ni", self.inclined.at(nodes), vectors)
+        return result
 
     def averaged_normals(self, surface: Surface) -> np.ndarray:
         """Return the averaged normals (n_nodes, dim) of a surface, without components along what

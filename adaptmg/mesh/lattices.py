@@ -121,24 +121,31 @@ def warn_of_stretched(domain: Domain, divisions: Divisions | Mapping[str, Divisi
 def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
     """Mesh one body as :func:`structured` does."""
     dim = domain.dim
-    sides = [
-        lower + np.arange(n + 1) / n * (upper - lower)
-        for lower, upper, n in zip(domain.lower, domain.upper, counts, strict=True)
-    ]
-    cells = _cells(counts, np.arange(counts[-1]))
-    simplices = _simplices(counts)
-    elements = _repeated_in(simplices, cells)
-    facets, labels = _boundary(domain.boundaries, counts, simplices)
-    points = np.empty((math.prod(n + 1 for n in counts), dim))
     # x runs fastest: the last axis goes first in the lattice
-    lattice = points.reshape(*(n + 1 for n in counts[::-1]), dim)
-    for k, coordinates in enumerate(np.meshgrid(*sides[::-1], indexing="ij", sparse=True)[::-1]):
-        lattice[..., k] = coordinates
-    for array in (points, elements):
-        array.flags.writeable = False
-    return sound_by_construction(
-        MeshArrays(points, elements, facets, labels, domain.boundaries), (counts,)
-    )
+    shape = tuple(n + 1 for n in counts[::-1])
+    points = np.empty((math.prod(shape), dim))
+    coordinates = points.reshape(*shape, dim)
+    for k, (lower, upper, n) in enumerate(zip(domain.lower, domain.upper, counts, strict=True)):
+        places = lower + np.arange(n + 1) / n * (upper - lower)
+        coordinates[..., k] = places.reshape(-1, *[1] * k)
+    nodes = np.arange(len(points), dtype=np.int32).reshape(shape)
+    cells = nodes[np.s_[:-1, :-1, :-1][:dim]]  # the lowest node of each
+    strides = strides_of(counts)
+    elements = _repeated_in(_corners(dim) @ strides, cells)
+    sides = [
+        _repeated_in(side_corners @ strides, cells.take([-end], axis=dim - 1 - axis))
+        for axis, end, side_corners in _sides(domain.boundaries, dim)
+    ]
+    arrays = {
+        "points": points,
+        "elements": elements,
+        "facets": np.concatenate(sides),
+        "facet_labels": np.repeat(np.arange(len(sides), dtype=np.int32), list(map(len, sides))),
+        "element_body": np.zeros(len(elements), dtype=np.int32),
+    }
+    checks.freeze(*arrays.values())
+    names = {"boundaries": domain.boundaries, "bodies": ("body",)}
+    return MeshArrays.written(**arrays, **names, sound=True, apart=True, lattices=(counts,))
 
 
 def unit_lattice(counts: tuple[int, ...]) -> MeshArrays:
@@ -199,43 +206,9 @@ def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
     )
 
 
-def _cells(counts: tuple[int, ...], places: np.ndarray, *, axis: int = -1) -> np.ndarray:
-    """Return the lowest node of each cell whose place along ``axis`` is among ``places``, ascending: the
-    sum of i_k stride_k of a cell with the place i_k along axis k."""
-    axis %= len(counts)
-    result = np.zeros(1, dtype=np.int32)
-    for k, (n, stride) in enumerate(zip(counts, strides_of(counts), strict=True)):
-        along = places if k == axis else np.arange(n)
-        result = (along.astype(np.int32)[:, None] * stride + result).reshape(-1)
-    return result
-
-
 def strides_of(counts: Sequence[int]) -> np.ndarray:
     """Return the difference (dim,) between the numbers of neighbours along each axis."""
     return np.cumprod([1, *(n + 1 for n in counts[:-1])]).astype(np.int32)
-
-
-def _boundary(
-    names: Sequence[str], counts: tuple[int, ...], simplices: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the outward facets (n, dim) and their labels (n,): side by side, along each in the
-    order of the nodes. Those of the cell at node 0, cut into ``simplices``, are moved along the
-    side."""
-    dim = len(counts)
-    strides = strides_of(counts)
-    facets = []
-    every = element_facets(simplices).reshape(-1, dim)
-    for name in names:
-        axis, end = BOX_SIDES[name]
-        axis = min(axis, dim - 1)  # bottom and top have the last axis, in the plane 1
-        cells = _cells(counts, np.array([(counts[axis] - 1) * end]), axis=axis)
-        # facets of the cell at node 0 whose nodes all have the place ``end`` along the axis
-        place = every // strides[axis] % (counts[axis] + 1)
-        side_facets = _repeated_in(every[(place == end).all(axis=1)], cells)
-        facets.append(side_facets[np.lexsort(np.sort(side_facets, axis=1).T[::-1])])
-    return np.concatenate(facets), np.repeat(
-        np.arange(len(facets)), [len(side_facets) for side_facets in facets]
-    )
 
 
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
@@ -263,17 +236,10 @@ def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
     return counts
 
 
-def _simplices(counts: tuple[int, ...]) -> np.ndarray:
-    """Return the nodes (n_simplices, dim + 1) of the two triangles or six tetrahedra of the cell whose
-    lowest node is 0, positively oriented."""
-    return _corners(len(counts)) @ strides_of(counts)
-
-
 @cache
 def _corners(dim: int) -> np.ndarray:
-    """Return the places (n_simplices, dim + 1, dim), 0 or 1 along each axis, of the corners of the
-    simplices that a cell is cut into: one for each path along its edges from its lowest node to its
-    highest."""
+    """Return the two triangles or six tetrahedra of a cell, positively oriented: the places
+    (n_simplices, dim + 1, dim) of their corners along the axes, 0 or 1."""
     simplices = []
     for path in permutations(np.eye(dim, dtype=np.int32)):
         corners = np.cumsum([np.zeros(dim, dtype=np.int32), *path], axis=0, dtype=np.int32)
@@ -282,10 +248,25 @@ def _corners(dim: int) -> np.ndarray:
     return np.array(simplices)
 
 
+@cache
+def _sides(names: tuple[str, ...], dim: int) -> list[tuple[int, int, np.ndarray]]:
+    """Return for each named side of a cell its axis, its end of this axis, 0 or 1, and the outward
+    facets there: the places (n, dim, dim) of their corners, in the order of the nodes."""
+    facets = element_facets(_corners(dim)).reshape(-1, dim, dim)
+    # all facets of a side have its lowest and its highest node: they are sorted by that between, in any lattice
+    nodes = np.sort(facets @ strides_of((1,) * dim), axis=1)
+    facets = facets[np.lexsort(nodes.T[::-1])]
+    result = []
+    for name in names:
+        axis, end = BOX_SIDES[name]
+        axis = min(axis, dim - 1)  # bottom and top have the last axis, in the plane 1
+        result.append((axis, end, facets[(facets[:, :, axis] == end).all(axis=1)]))
+    return result
+
+
 def _repeated_in(simplices: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Return the simplices (n, k) of the cell whose lowest node is 0 in each of some cells, given by their
-    lowest nodes (m,): (m * n, k)."""
-    return (cells[:, None, None] + simplices).reshape(-1, simplices.shape[1])
+    """Move the simplices (n, k) of the cell whose lowest node is 0 to each of some cells (..., y, x)."""
+    return (cells[..., None, None] + simplices).reshape(-1, simplices.shape[1])
 
 
 def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:

@@ -235,10 +235,10 @@ class ContactProblem(checks.Checked):
             self._check_inelastic()
         self._check_contact()
         self._check_sides()
-        if CONTACT in self._uses() and self.contact_boundaries != (CONTACT,):
+        if CONTACT in self._uses and self.contact_boundaries != (CONTACT,):
             raise ValueError(
                 f"the name {CONTACT!r} stands for all contact boundaries together, but names one of "
-                f"several, used for {self._uses()[CONTACT]}: rename it"
+                f"several, used for {self._uses[CONTACT]}: rename it"
             )
         if self.domain is not None:
             self._check_domain(self.domain)
@@ -329,6 +329,7 @@ class ContactProblem(checks.Checked):
                         "pair: swap slave and master of one, or cut the boundary in two"
                     )
 
+    @cached_property
     def _uses(self) -> dict[str, str]:
         """Return the use of each boundary as text, by its name; of several uses the last one listed
         here."""
@@ -426,7 +427,7 @@ class ContactProblem(checks.Checked):
 
     def check_boundaries(self, known: tuple[str, ...]) -> None:
         """Raise ValueError unless every boundary named by the problem is one of ``known``."""
-        for boundary, use in self._uses().items():
+        for boundary, use in self._uses.items():
             if boundary not in known:
                 raise ValueError(
                     f"boundary {boundary!r}, used for {use}, does not exist"

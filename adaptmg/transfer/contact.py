@@ -150,18 +150,22 @@ def between_levels(
     ``transfer``, with other rows on crack faces and (``contact_rows``) on contact boundaries, and
     from it the two forms for relative values (module docstring)."""
     known = without_search(coarse, fine) if type(transfer) is Interpolation else None
-    nodal = _checked_prolongation(transfer, coarse, fine) if known is None else known
+    if known is None:
+        nodal = _checked_prolongation(transfer, coarse, fine)
+    else:
+        nodal = known
+        checks.freeze(nodal.indices, nodal.indptr)
     contact = fine_problem.contact
     coupling = fine_problem.coupling
     if coupling is not None:
         _check_bodies(nodal, coarse, fine, transfer)
     slave_nodes = [contact.nodes[contact.boundary == k] for k in range(len(contact.names))]
-    # for each contact boundary its slave nodes, and their rows of interpolation along the coarse one;
-    # without a search interpolation is that along the boundary: .84 of the time of a hierarchy of 1089 nodes
+    # for each contact boundary its slave nodes, and their rows of interpolation along the coarse one; without
+    # a search interpolation is that along the boundary, and few problems need its rows apart
     slave_rows = (
         [_rows_along(coarse, fine, *side) for side in zip(contact.names, slave_nodes, strict=True)]
         if known is None
-        else [(nodes, nodal[nodes]) for nodes in slave_nodes]
+        else []
     )
     for face, other in _crack_faces(fine, contact):
         nodal = with_contact_rows(
@@ -181,31 +185,30 @@ def between_levels(
     surface = relative
     # contact nodes that take over weights of tied nodes
     takes_over = np.diff(contact.taken_over.indptr) > 0
-    for k, (nodes, rows) in enumerate(slave_rows):
-        if contact.masters[k] or takes_over[contact.boundary == k].any():
+    no_limit = _without_limit(coarse_problem)
+    for k, nodes in enumerate(slave_nodes):
+        takes_values = contact.masters[k] or takes_over[contact.boundary == k].any()
+        may_pass = contact_rows and no_limit[coarse.surface(contact.names[k]).nodes].any()
+        if not (takes_values or may_pass):
+            continue
+        rows = slave_rows[k][1] if known is None else known[nodes]
+        if takes_values:
             coarse_contact = coarse_problem.contact
             coarse_slaves = coarse_contact.nodes[coarse_contact.boundary == k]
             rows = _rows_on_side(coarse_slaves, rows, fine.points[nodes], coarse.points)
-            surface = with_contact_rows(surface, nodes, rows)
-        elif contact_rows and (limited := _limited_rows(coarse_problem, rows)) is not None:
-            surface = with_contact_rows(surface, nodes, limited)
+        else:  # without the coarse nodes that could move the fine ones beyond the obstacle
+            rows.data[no_limit[rows.indices]] = 0.0
+        surface = with_contact_rows(surface, nodes, rows)
     return LevelTransfer(relative, None if surface is relative else surface)
 
 
-def _limited_rows(
-    coarse_problem: DiscreteProblem, rows: sparse.csr_array
-) -> sparse.csr_array | None:
-    """Return the rows of contact nodes without a master, without the coarse nodes that could move them
-    beyond the obstacle; None if there are none of these. Coarse contact nodes have bounds that prevent
-    it, and held ones do not move."""
-    held = coarse_problem.fixed.reshape(-1, coarse_problem.dim).all(axis=1)
+def _without_limit(problem: DiscreteProblem) -> np.ndarray:
+    """Return the mask (n_nodes,) of nodes that could move beyond an obstacle: contact nodes have bounds
+    that prevent it, and held ones do not move."""
+    held = problem.fixed.reshape(-1, problem.dim).all(axis=1)
     no_limit = np.array(~held)
-    no_limit[coarse_problem.contact.nodes] = False
-    dropped = no_limit[rows.indices]
-    if not dropped.any():
-        return None
-    data = np.where(dropped, 0.0, rows.data)
-    return sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
+    no_limit[problem.contact.nodes] = False
+    return no_limit
 
 
 def _crack_faces(mesh: MeshArrays, contact: ContactNodes) -> list[tuple[str, str]]:
