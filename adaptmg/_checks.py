@@ -192,15 +192,16 @@ def listed(name: str, value: Iterable[_T], words: str) -> tuple[_T, ...]: ...
 @overload
 def listed(name: str, value: object, words: str) -> tuple[object, ...]: ...
 def listed(name: str, value: object, words: str) -> tuple[object, ...]:
-    """Return a sequence (not text, a mapping or a matrix) as a tuple; ``words`` describe its
-    items."""
+    """Return the items of a sequence, set or generator (not text, a mapping or a matrix) as a tuple;
+    ``words`` describe them. An error of the user's generator is raised as it is."""
     try:
         # a sparse matrix, of scipy, which Netgen's process does without
-        if not isinstance(value, (str, bytes, Mapping, type)) and not hasattr(value, "tocsr"):
-            return tuple(cast("Iterable[object]", value))
+        if isinstance(value, (str, bytes, Mapping, type)) or hasattr(value, "tocsr"):
+            raise TypeError
+        entries = iter(cast("Iterable[object]", value))
     except TypeError:
-        pass
-    raise TypeError(f"{name} must be a sequence of {words}, got {described(value)}")
+        raise TypeError(f"{name} must be a sequence of {words}, got {described(value)}") from None
+    return tuple(entries)
 
 
 def mapping(name: str, value: Mapping[_Key, _T], words: str) -> dict[_Key, _T]:

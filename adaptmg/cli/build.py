@@ -196,19 +196,20 @@ def arguments_of(function: Maker, values: Arguments, prefix: str, what: str) -> 
 
 
 def _made_with_settings(function: Maker, values: Arguments, prefix: str, what: str) -> Any:
-    """Call a class or function with settings; ValueError for settings that it does not take."""
+    """Call a class or function with settings, which are removed from ``values``; ValueError for one that
+    it does not take. ``prefix`` and ``what`` are words of messages, as in :func:`arguments_of`."""
     arguments = arguments_of(function, values, prefix, what)
-    for key in values:
+    for unknown in values:  # all that arguments_of has left
         owners = [
             f"{prefix}{name} {name_of(kind)}"
             for name, (_, kinds) in _parameters(function).items()
             for kind in kinds
-            if key in keys_of(kind)
+            if unknown in keys_of(kind)
         ]
         remedy = f"; it takes {', '.join(keys_of(function))}"
         if owners:
             remedy = f": it belongs to {' or '.join(owners)}"
-        raise ValueError(f"{prefix}{key} has no meaning for {what}{remedy}")
+        raise ValueError(f"{prefix}{unknown} has no meaning for {what}{remedy}")
     return function(**arguments)
 
 

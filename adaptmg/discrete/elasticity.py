@@ -599,12 +599,15 @@ def _unit_stresses(zero, measure, tensor, p, slopes, hoops, table, stress):
 
 @inner_kernel(inline="always")
 def _add_work(zero, stress, q, slopes, hoops, at, data):
-    """Add ``stress``' B_q to block ``at``; (u, v, w) are the slopes of corner q, in axisymmetry w is its
-    hoop strain."""
+    """Add S' B_q (dim, dim) to block number ``at`` of ``data`` (n_blocks, dim, dim), where ``stress``
+    (2 dim, dim) is S = V C B_p of corner p, a row a component of the stress (see _unit_stresses).
+    (u, v, w) are the slopes of corner q, its row of ``slopes`` (n_corners, dim), 1/m; in axisymmetry w
+    is its hoop strain, of ``hoops`` (n_corners,), else (0,)."""
     u = slopes[q, 0]
     v = slopes[q, 1]
     w = slopes[q, 2] if len(zero) == 3 else hoops[q] if len(hoops) else 0.0
-    for a in range(len(zero)):  # one addition each, for the sake of rounding
+    # the share of this patch is summed first: an entry, a sum over patches, is rounded once by it
+    for a in range(len(zero)):
         xx = stress[_XX, a]
         yy = stress[_YY, a]
         zz = stress[_ZZ, a]

@@ -400,10 +400,12 @@ class March:
         return result
 
     def _rounding_tolerance(self, start: np.ndarray, load: np.ndarray) -> float:
-        """Return the tolerance that rounding of K u leaves, eps |diag K| |u|_max over the load, for a
-        step with this ``start`` (n_nodes, dim): large where bodies have flown far, and a step is so long
-        that their mass counts little."""
+        """Return the tolerance that rounding of K u leaves to a step with a ``start`` (n_nodes, dim), m,
+        and a ``load`` (n_dofs,), N: eps |diag K| |u|_max / (RESIDUAL_FACTOR |load|), as residuals may be
+        that many tolerances, and at most _MOST_ROUNDING. It is large where bodies have flown far, and a
+        step is so long that their mass counts little."""
         rounding = self.rounding * np.abs([self.displacement, start]).max()
+        # without a load 1 N is the denominator
         tolerance = rounding / (StopTest.RESIDUAL_FACTOR * euclidean_norm(load) or 1.0)
         return min(tolerance, _MOST_ROUNDING)
 

@@ -566,13 +566,15 @@ def _on_surfaces(
 
 def _round_nodes(shape: Shape, size: float) -> float:
     """Return the number of nodes that cylinders and spheres ask for where their edges, of the radius over
-    _CURVATURE, are shorter than a size. Equilateral triangles have 1.15 nodes in the square of their
-    edge; about half of these are counted."""
+    _CURVATURE, are shorter than a ``size``; this and all of ``shape`` in lengths at unit size."""
     nodes = 0.0
     for area, samples in zip(shape.areas, shape.samples, strict=True):
+        # of the two patches one suffices: both lie on the same cylinder or sphere
         for surface in surfaces_through(samples)[:1]:
-            edge = surface.extent / _CURVATURE
+            edge = surface.extent / _CURVATURE  # extent: of these two surfaces the radius
             if (surface.cylinder or surface.sphere) and 0 < edge < size:
+                # equilateral triangles have 1.15 nodes in the square of their edge; about half of these
+                # are counted, since Netgen's edges are of this length about only
                 nodes += 0.6 * area / edge**2
     return nodes
 

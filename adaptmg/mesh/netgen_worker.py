@@ -284,9 +284,8 @@ ShapeTables = tuple[list[str], list[float], float, np.ndarray, list[np.ndarray],
 
 
 def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> ShapeTables:
-    """Return OCC's shape of a solid in lengths (x - origin) / scale: names and areas of its faces,
-    volume, bounding box, samples of its surfaces. OCC compares lengths with absolute tolerances of
-    1e-7: all is built near unit size."""
+    """Hold OCC's shape of a solid in lengths (x - origin) / scale, and return its tables, as
+    :func:`_hold`. OCC compares lengths with absolute tolerances of 1e-7: all is built near unit size."""
     shape = _shape(domain, origin, scale)
     if len(shape.solids) != 1:
         what = "nothing" if len(shape.solids) == 0 else f"{len(shape.solids)} pieces"
@@ -462,7 +461,10 @@ def step_shape(path: str, number: int) -> tuple[ShapeTables, np.ndarray, float]:
 
 
 def _hold(solid: Solid) -> ShapeTables:
-    """Store a solid for further requests, and return the tables of its faces."""
+    """Store a solid for further requests, and return the first entries of
+    :class:`adaptmg.mesh.netgen_meshes.Shape`, all in lengths of the solid: names and areas of its n
+    faces, its volume, its bounding box (2, 3), samples (2, 25, 6) of the surface of each face, and the
+    centres (n, 3) of the faces. OCC's ``mass`` is the area of a face, or the volume of a solid."""
     _Held.shape = solid
     faces = list(solid.faces)
     return (
@@ -476,8 +478,8 @@ def _hold(solid: Solid) -> ShapeTables:
 
 
 def _samples(face: Face) -> np.ndarray:
-    """Return points and normals (2, n, 6) on two patches of the surface of a face, one on either
-    side of an apex."""
+    """Return points x, y, z and unit normals (2, n, 6) on two patches of n = 25 points of the surface
+    of a face, one on either side of an apex."""
     found = np.array(
         [
             [[_place(x) for x in face.surf.D1(u, sign * v)] for u in _ACROSS for v in _ALONG]

@@ -602,16 +602,21 @@ class CoarseContact:
         space = next(self._spaces(), None)
         if space is None:
             return
-        self.number, rows, nodes = space
+        self.number, contact_rows, moving_nodes = space  # as _spaces yields them
         levels = step.cycle.levels
         contact = step.contact
         dim = step.contact.dim
         matrix = step.base_matrix(self.number)
         fixed = mask_of(levels[self.number].matrix.fixed, matrix.shape[0])
-        self.eliminated = _eliminated(matrix, fixed, nodes, coordinates[self.number])
-        self.unknowns = _CoarseSpan(self.eliminated.matrix, rows[:, self.eliminated.contact], dim)
+        self.eliminated = _eliminated(matrix, fixed, moving_nodes, coordinates[self.number])
+        self.unknowns = _CoarseSpan(
+            self.eliminated.matrix, contact_rows[:, self.eliminated.contact], dim
+        )
         row, column = UPPER[dim]
+        # the packed upper triangles of the local diagonal blocks
         triangles = contact.blocks.reshape(len(contact.nodes), -1)
+        #: (n_contact, dim): their diagonals, N/m, by which the interior point method scales its start;
+        #: that of a held tangent has its sign turned there (see turn_held)
         self.stiffness = np.abs(triangles[:, row == column])
 
     def _spaces(self) -> Iterator[tuple[int, sparse.csr_array, np.ndarray]]:

@@ -147,10 +147,17 @@ def _check(system: LocalSystem, contact: NodalContact, **vectors: np.ndarray) ->
     expected: dict[str, tuple[np.ndarray, tuple[int, ...]]]
     expected = {name: (value, (system.n_dofs,)) for name, value in vectors.items()}
     n = len(system.nodes)
+    shapes = {"gap": (n,), "limit": (n,), "friction": (n,), "slip_reference": (n, system.dim - 1)}
+    if contact.compliance is not None:
+        shapes["compliance"] = (n,)
+    # of scalar problems the kernel reads ``lowest`` in place of the slip_reference
+    if system.dim == 1:
+        shapes["lowest"] = (n,)
+    elif contact.lowest is not None:
+        raise ValueError(f"contact.lowest must be None with {system.dim} unknowns a node")
     expected |= {
-        f"contact.{name}": (getattr(contact, name), (n,)) for name in ("gap", "limit", "friction")
+        f"contact.{name}": (getattr(contact, name), shape) for name, shape in shapes.items()
     }
-    expected["contact.slip_reference"] = contact.slip_reference, (n, system.dim - 1)
     for name, (value, shape) in expected.items():
         if not isinstance(value, np.ndarray) or value.dtype != np.float64:
             kind = (

@@ -126,8 +126,9 @@ class Direct:
         preconditioner: sparse.bsr_array | None = None,
         previous: Prepared | None = None,
     ) -> Factorised:
-        """Factorise; see :class:`LinearSolver`. The order of a previous matrix of the same pattern
-        is reused."""
+        """Factorise; see :class:`LinearSolver`. The order of elimination of ``previous``, which
+        should have the same pattern, is reused. Only its length is compared: with another pattern the
+        factors fill in more, and are as right."""
         if isinstance(previous, Factorised) and len(previous.factors.order) == matrix.shape[0]:
             order = previous.factors.order
         else:

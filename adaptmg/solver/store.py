@@ -7,8 +7,9 @@ is unpacked: a small archive may declare terabytes.
 
 A :class:`StepStore` is a folder with a head (``path.json``, ``loop.json``), which states what the
 steps belong to, and a file a step (``step_0003.npz``) with its number and the key of the head, a
-hash of its content: files that were swapped, or come from another folder, are recognised. No file
-that is there is written again or removed.
+hash of its content: files that were swapped, or come from another folder, are recognised. No step
+that is there is written again or removed; of processes that write the same step at the same moment
+the last one's file stays, which is as whole and holds the same step.
 
 In a head a fingerprint identifies the computation. Of each array on the meshes it has the length,
 the norm and the product with a fixed wave, compared to a relative 1e-8: another mesh, material,
@@ -326,7 +327,8 @@ class StepStore:
 
     def put(self, number: int, value: object, more: object = None) -> None:
         """Write a step, unless another process has written it; ValueError if the file of that name is
-        not this step."""
+        not this step. ``more``: what the computation needs next to the result to go on from there, such
+        as an :class:`adaptmg.estimate.loop.StoredStep` of an adaptive loop."""
         if os.path.lexists(self._step_file(number)):
             self._read(number)
         else:

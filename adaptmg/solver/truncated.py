@@ -220,7 +220,10 @@ class TruncatedCycles:
         self, state: TruncatedState, coarse_contact: CoarseContact | CoarseObstacles
     ) -> TruncatedState:
         """Return the state after smoothing and a coarse contact problem; the same state, without
-        smoothing, where no coarse level serves, which is then not asked again."""
+        smoothing, where no coarse level serves, which is then not asked again.
+
+        A problem whose solution is refused, which returns its argument, counts in ``moves``, too. After
+        any other the next linear correction ends where its first open node closes (``shorten``)."""
         if coarse_contact.number is None:
             self.coarse = None
             return state

@@ -339,6 +339,8 @@ TYPES = {
     "belong on a DiscreteProblem": lambda: am.cases.greco_bar(law=am.Coulomb(np.ones(3))),
     "one a component": lambda: am.Traction("top", lambda x: x),
     "contact must be a sequence of Contact or ContactPair": lambda: two(contact="upper.bottom"),
+    # an error of the user's generator
+    "unsupported operand": lambda: two(contact=(None + number for number in (1, 2))),
 }
 
 

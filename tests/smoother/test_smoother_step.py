@@ -227,6 +227,12 @@ def test_a_singular_block_is_named():
             ValueError,
             r"contact\.slip_reference must have shape \(4, 1\)",
         ),
+        (
+            {"contact": {"compliance": np.zeros(3)}},
+            ValueError,
+            r"contact\.compliance must have shape \(4,\)",
+        ),
+        ({"contact": {"lowest": np.zeros(4)}}, ValueError, r"contact\.lowest must be None"),
         ({"contact": None}, TypeError, "contact must be NodalContact"),
         ({"sweeps": -1}, ValueError, "sweeps must be >= 0"),
     ],
@@ -243,6 +249,17 @@ def test_bad_arrays(changes, error, message):
         given["contact"] = replace(problem.contact, **given["contact"])
     with pytest.raises(error, match=message):
         am.ProjectedGaussSeidel().smooth(problem.system, **given)
+
+
+@pytest.mark.parametrize("lowest", [None, np.zeros(1)])
+def test_the_lower_obstacle_of_a_scalar_problem_is_checked(lowest):
+    problem = am.smoother.local_system(
+        am.Hierarchy.graded(am.cases.obstacle_problem(), (0.5,)).finest.discrete
+    )
+    contact = replace(problem.contact, lowest=lowest)
+    unknowns = np.zeros_like(problem.load)
+    with pytest.raises((TypeError, ValueError), match=r"contact\.lowest must"):
+        am.ProjectedGaussSeidel().smooth(problem.system, contact, problem.load, unknowns)
 
 
 EXAMPLES = settings(max_examples=50, deadline=None)
