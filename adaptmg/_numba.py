@@ -137,14 +137,15 @@ def read_only(array: np.ndarray) -> np.ndarray:
 
 class _Compiling(Listener):
     """A listener that adds up the seconds of compilations in each thread, and announces long ones;
-    numba compiles in one thread at a time."""
+    numba compiles in one thread at a time. Kernels that a kernel calls compile within it: only the
+    outermost compilation is timed, and the garbage collector is off while it runs."""
 
     def __init__(self) -> None:
-        self.depth = 0
-        self.begin = 0.0
-        self.collecting = False
-        self.kernel: Any = None
-        self.here = threading.local()
+        self.depth = 0  # compilations that run, one within the other
+        self.begin = 0.0  # s, of the outermost one
+        self.collecting = False  # whether the collector was on before it
+        self.kernel: Any = None  # the function that it compiles
+        self.here = threading.local()  # seconds: of the compilations in a thread
 
     def on_start(self, event: Event) -> None:
         """Begin to time the compilation of a kernel, unless it is part of another one."""
@@ -164,7 +165,8 @@ class _Compiling(Listener):
             self.begin = time.perf_counter()
 
     def on_end(self, event: Event) -> None:
-        """Add the seconds of a compilation that has ended."""
+        """Add the seconds of an outermost compilation that has ended, and let the collector run again if
+        it did before."""
         self.depth -= 1
         if self.depth == 0:
             if self.collecting:

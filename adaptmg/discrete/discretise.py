@@ -122,8 +122,12 @@ def assembled(
 def _matrix_part(
     posed: Posed, effective: Callable[[sparse.bsr_array], sparse.bsr_array] | None
 ) -> dict[str, Any]:
-    """Return the ``matrix`` of the bodies and their springs, or, where nothing is added to the
-    stiffness of a lattice, its ``rows``."""
+    """Return the ``matrix`` of the bodies and their springs, or, where nothing changes the stiffness of
+    a lattice, its ``rows``, of which all but those near its sides are the same.
+
+    They are not where springs add to the matrix, where the weights ``follows`` of slave and tied
+    nodes or inclined supports change its coordinates, where ``effective`` makes the matrix of a time
+    step of it, and where bodies are inelastic, whose tangents differ."""
     problem = posed.problem
     springs = any(isinstance(support, Spring | PointSpring) for support in problem.supports)
     coupled = posed.rows.follows is not None

@@ -135,12 +135,13 @@ class CoveredParts:
     def means(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the measures (n_slave,) of the covered parts of slave facets, their centroids
         (n_slave, dim - 1), the places (n, n_points, dim - 1) from these, and the covariances
-        (n_slave, dim - 1, dim - 1). Where nothing is covered: 0, 0 and the identity."""
-        n, k = self.corners.shape[:2]
+        (n_slave, dim - 1, dim - 1). Where nothing is covered: 0, 0 and the identity, as callers solve
+        with the covariances."""
+        n_slave, dim = self.corners.shape[:2]
 
         def sums(values: np.ndarray) -> np.ndarray:
             return np.stack(
-                [np.bincount(self.slave, column, minlength=n) for column in values.T], axis=1
+                [np.bincount(self.slave, column, minlength=n_slave) for column in values.T], axis=1
             )
 
         measure = sums(self.weights.sum(axis=1, keepdims=True))[:, 0]
@@ -149,10 +150,10 @@ class CoveredParts:
         centroid = sums(np.einsum("pq,pqa->pa", shares, self.places))
         from_centroid = self.places - centroid[self.slave, None]
         products = np.einsum("pq,pqa,pqb->pab", shares, from_centroid, from_centroid).reshape(
-            -1, (k - 1) ** 2
+            -1, (dim - 1) ** 2
         )
-        covariance = sums(products).reshape(n, k - 1, k - 1)
-        covariance[measure == 0] = np.eye(k - 1)
+        covariance = sums(products).reshape(n_slave, dim - 1, dim - 1)
+        covariance[measure == 0] = np.eye(dim - 1)
         return measure, centroid, from_centroid, covariance
 
 

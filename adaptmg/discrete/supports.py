@@ -360,7 +360,11 @@ def held_components(points: np.ndarray, holds: Sequence[Held]) -> tuple[np.ndarr
         if axis is None:
             continue
         nodes = hold.nodes
-        clash = fixed[nodes, axis] & (values[nodes, axis] != hold.values)
+        # two functions that prescribe the same may differ by rounding
+        size = np.abs([hold.values, values[nodes, axis]]).max(initial=0.0)
+        clash = fixed[nodes, axis] & (
+            np.abs(hold.values - values[nodes, axis]) > checks.ALIKE * size
+        )
         if clash.any():
             node = int(nodes[np.argmax(clash)])
             value = hold.values[np.argmax(clash)]

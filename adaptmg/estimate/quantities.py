@@ -142,7 +142,7 @@ class Functional:
     """A quantity of a solution, and how it changes with it."""
 
     name: str  # for tables
-    value: float  # of the discrete solution, in unit
+    value: float  # of the discrete solution, in ``unit``
     unit: str
     vector: np.ndarray  # (n_dofs,): its derivative by the relative coordinates, Cartesian
 
@@ -572,7 +572,10 @@ class Opening:
         of the node by itself, w_j G_j is the integral of the gap over the parts of all these nodes,
         whose measure is m_j = w_j (1 + sum_i V_ji), ``measures``. The mean over the boundary is the
         sum of these integrals over that of the measures, c_j = w_j / sum_k m_k. At a point x the mean
-        gap of each node, w_j G_j / m_j, is interpolated: c_j = phi_j(x) w_j / m_j."""
+        gap of each node, w_j G_j / m_j, is interpolated: c_j = phi_j(x) w_j / m_j.
+
+        The value has the G_j of the solution, which ``contact.gap`` holds. In relative coordinates they are
+        G_j = G_0j - n_j . u_j, so that the derivative is -c_j n_j at node j."""
         contact = view.contact
         posed = view.touching
         mesh = view.mesh
@@ -591,7 +594,7 @@ class Opening:
             name = f"opening of {self.boundary!r} at {_place(self.point)}"
             coefficients = self._shape_values(view, facets) * posed.weights / posed.measures
         vector = np.zeros((view.discrete.n_nodes, mesh.dim))
-        vector[contact.nodes] = -coefficients[:, None] * contact.frames[:, 0]  # of g0 - u_n
+        vector[contact.nodes] = -coefficients[:, None] * contact.frames[:, 0]  # normals
         return [Functional(name, float(coefficients @ contact.gap), "m", vector.reshape(-1))]
 
     def _shape_values(self, view: GoalView, facets: np.ndarray) -> np.ndarray:

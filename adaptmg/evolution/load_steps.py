@@ -169,16 +169,23 @@ def step_outcome(
     """Solve a step as :func:`resumed` does, or :func:`restarted` with other solvers than truncated
     multigrid. Before it, the extrapolation is taken if it is accurate enough; it is tried with
     truncated multigrid, and with an ActiveSet that repeats the last loads. ``past`` has the starts,
-    ``examiner`` belongs to the step; displacements of coarse levels (n_dofs,) come coarsest first."""
+    ``examiner`` belongs to the step.
+
+    Return the outcome, the set-up of multigrid for the next step, and the displacements (n_dofs,) of
+    the coarse levels, coarsest first (none where only the finest one is discretised), or None if the
+    step has not found them."""
     is_truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
     # an ActiveSet that repeats the loads would find no slip, and so no direction for friction at its bound,
     # and its Newton steps may cycle: the old solution comes first
+    # equal loads extrapolate to the last solution, to the bit; where others do, too, the certificate refuses it
     is_repeated = isinstance(solver, ActiveSet) and np.array_equal(past.extrapolated, past.last)
+    # with past.is_start ``extrapolated`` is no extrapolation, but a start
     extrapolates = past.has_previous and not past.is_start and (is_truncated or is_repeated)
     rtol = getattr(solver, "rtol", None)
     if extrapolates and isinstance(rtol, float):  # not "discretisation", which needs a nested start
         outcome = extrapolated_outcome(hierarchy.finest.discrete, rtol, examiner, run, past)
         if outcome is not None:
+            # all but that of the finest level, which the outcome has
             return outcome, multigrid, past.extrapolated_level_displacements[:-1]
     if is_truncated:
         return resumed(cast("Multigrid", solver), multigrid, hierarchy, examiner, run, past)
@@ -756,9 +763,13 @@ class Search(Generic[Carried]):
         """Return the change d (n,) of least size with J d = -``missed`` (n,), J the ``jacobian``
         (n, n), in the directions of forces that resist, where the singular values of J are not
         rounding; ValueError where differences show that nothing resists a direction in which forces
-        are missed."""
+        are missed.
+
+        Changes are over the sizes of the unknowns, forces (the actual minus the prescribed ones) over
+        theirs: J has no units."""
         left_vectors, stiffnesses, right_vectors = np.linalg.svd(jacobian)
-        # errors of differences: the tolerance of their contact problems over their step, both over ``reach``
+        # errors of J by differences: the tolerance of their contact problems, _EXACT * reach, over their step,
+        # _DIFFERENCE * reach, with the size ``reach`` of the last changes
         noise = _EXACT / _DIFFERENCE if by_differences else 0.0
         resisted = stiffnesses > max(checks.SIX_DIGITS * stiffnesses[0], noise)
         components = left_vectors.T @ missed

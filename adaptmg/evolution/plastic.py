@@ -89,7 +89,8 @@ class PlasticLoop(PathLoop):
         factors = super()._factors_at(k)
         if self.share == 1.0:
             return factors
-        # the first step starts from zero loads, or, if the path goes on from a result, under its own loads
+        # the first step starts from zero loads, or, if the path goes on from a result, from the loads of this
+        # result, which it repeats
         before = factors if self.continued else dict.fromkeys(factors, 0.0)
         if k:
             before = super()._factors_at(k - 1)

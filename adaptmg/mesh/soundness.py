@@ -65,8 +65,7 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
         _check_bodies(mesh, table)
         object.__setattr__(mesh, "sound", True)
     names = (boundaries,) if isinstance(boundaries, str) else boundaries
-    given = tuple(names) if isinstance(names, dict) else names  # names without repetition
-    _check_names(mesh, checks.strings("boundaries", given))
+    _check_names(mesh, checks.strings("boundaries", names))
     return mesh
 
 

@@ -286,7 +286,11 @@ class LinearCycle:
     def _prepared(self, number: int) -> PreparedSolve:
         """Set the user-defined correction up for the levels below ``number``."""
         coarse_matrices = [level.matrix for level in self.levels[:number]]
-        matrices = [_regular_sparse(matrix, _sizes(matrix)) for matrix in coarse_matrices]
+        # rows of fixed and truncated dofs are empty: with the largest diagonal entry on their diagonal a
+        # user's method can divide by it
+        matrices = [
+            _regular_sparse(matrix, _largest_diagonal(matrix)) for matrix in coarse_matrices
+        ]
         prolongations = [
             by_dofs(level.prolongation, level.matrix.n_dofs) for level in self.levels[1:number]
         ]
@@ -314,8 +318,8 @@ def by_dofs(prolongation: sparse.csr_array, n_dofs: int) -> sparse.csr_array:
     return sparse.kron(prolongation, sparse.eye_array(size), format="csr")
 
 
-def _sizes(level: SplitMatrix) -> np.ndarray:
-    """Return the largest entry of the diagonal, for each dof."""
+def _largest_diagonal(level: SplitMatrix) -> np.ndarray:
+    """Return the size of the largest diagonal entry, once for each dof (n_dofs,)."""
     return np.full(level.n_dofs, level.diagonal_sizes.max())
 
 
@@ -578,7 +582,9 @@ class _LevelSmoother:
     """A :class:`LinearSmoother` set up for the matrix of a level."""
 
     def __init__(self, custom: LinearSmoother, level: SplitMatrix) -> None:
-        self.matrix = _regular_sparse(level, _sizes(level))
+        # rows of fixed and truncated dofs are empty: with the largest diagonal entry on their diagonal a
+        # user's smoother can divide by it
+        self.matrix = _regular_sparse(level, _largest_diagonal(level))
         self._smoother = checks.offers(
             "coarse_smoother: what setup returns",
             custom.setup(self.matrix),

@@ -6,12 +6,12 @@ local values :math:`N_i, T_i` of M at the contact nodes the energy changes by
 
 .. math:: \phi(c) = -(M^T f)\cdot c + \sum_i g_i\,(|\tau_i + T_i c| - |\tau_i|),\qquad N_i c \le g_{0,i} - w_{n,i},
 
-where c moves neither closed nodes along their normals nor sticking nodes at all. While such a c is
-left, truncated coarse matrices are singular (2D) or nearly so (3D). The minimum ends that: in 2D it
-lies where an open node closes or a slip vanishes (the median of the slips, weighted with g); in 3D
-slips that are not parallel hold the body too. A step goes along :math:`-H^{-1} s` with gradient s
-and (3D) Hessian H of :math:`\phi`, or -s where H is singular, to the first node that closes, or to
-the root of the slope
+where c moves neither closed nodes along their normals nor sticking nodes along their tangents; open
+nodes, whose friction has s alone, may stick, too. While such a c is left, truncated coarse matrices
+are singular (2D) or nearly so (3D). The minimum ends that: in 2D it lies where an open node closes
+or a slip vanishes (the median of the slips, weighted with g); in 3D slips that are not parallel
+hold the body too. A step goes along :math:`-H^{-1} s` with gradient s and (3D) Hessian H of
+:math:`\phi`, or -s where H is singular, to the first node that closes, or to the root of the slope
 
 .. math:: -F\cdot d + \sum_i g_i\,\frac{(\tau_i + \alpha T_i d)\cdot T_i d}{|\tau_i + \alpha T_i d|} .
 """
@@ -123,8 +123,9 @@ class RigidMotions:
         return self._move(contact, total, unknowns) if steps else None
 
     def free(self, closed: np.ndarray, held: np.ndarray) -> np.ndarray:
-        """Return the combinations (m, j) that move closed nodes along the obstacle only, and held
-        ones not at all."""
+        """Return the combinations (m, j) that move ``closed`` nodes along the obstacle only, and ``held``
+        ones not along it; masks (n_contact,). An open node may be held, by friction that needs no
+        pressure: it then moves along its normal only."""
         key = closed.tobytes() + held.tobytes()
         if key != self._last_free[0]:
             rows = [
@@ -192,7 +193,7 @@ class _Descent:
     def step(self) -> np.ndarray | None:
         """Take a step; return its combination of motions (m,), None at a minimum."""
         contact = self.contact
-        # at closed nodes c moves along the obstacle, at sticking ones not at all
+        # c moves no closed node along its normal, and no held one along its tangents
         slip = self.values[:, 1:] - self.reference
         closed = self.values[:, 0] >= contact.gap
         resists = (contact.limit > 0) | (closed & (contact.friction > 0))

@@ -169,7 +169,9 @@ class SplitMatrix:
 
     @cached_property
     def _order(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the order of all blocks in the whole matrix, and its indptr and indices."""
+        """Return the permutation (n_blocks,) that sorts all blocks, those of L, D and U one after the other,
+        by rows and in each row by columns; and indptr (n_nodes + 1,) and indices (n_blocks,) of the whole
+        matrix."""
         row, column = (np.concatenate(part) for part in zip(*self._places, strict=True))
         order = np.lexsort((column, row))
         return (

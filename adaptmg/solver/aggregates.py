@@ -274,9 +274,11 @@ def _projected(projections, number, v):
     return times(projections, np.uint64(len(v) * len(v)) * np.uint64(number), v)
 
 
+# positions are uint64, and so is TWO: the product with a Python integer would be a float, no index. v is a tuple, whose
+# length is known when the kernel is compiled: so are the branches
 @in_loop
 def _increase(array, at, step, v):
-    """Add v to the entries from a position on, a ``step`` apart."""
+    """Add v, a tuple of 1 to 3 numbers, to the entries from a position on, a ``step`` apart."""
     array[at] += v[0]
     if len(v) > 1:
         array[at + step] += v[1]

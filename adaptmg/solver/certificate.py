@@ -174,23 +174,25 @@ def certify(
 
     The energy error is estimated by iteration with the contact status held, in fewer steps where it
     is small against ``rtol``; where the corrected displacement contradicts this status, with a status
-    that may change. With ``bound`` it is bounded by a factorisation, and the status stays."""
+    that may change. With ``bound`` it is bounded by a factorisation, and the status stays: that is
+    what :meth:`Evidence.energy_error` does without aggregates."""
     # a diverged displacement overflows: its lines are inf or nan, which contradict every tolerance
     with np.errstate(over="ignore", invalid="ignore"):
         evidence = Evidence(
             problem, np.asarray(displacement, dtype=np.float64), contact, pressures, residual
         )
+        # where all is fixed there are no motions for aggregates, and nothing to factorise
         aggregates = None if bound or problem.fixed.all() else aggregates_of(problem)
-        energy, energy_rounding = evidence.energy_error(aggregates, rtol)
+        energy_error, energy_rounding = evidence.energy_error(aggregates, rtol)
         lines = evidence.lines() if on_mesh is None else (*evidence.lines(), *on_mesh(evidence))
     return Certificate(
         lines=lines,
-        energy_error=0.0 if evidence.idle else energy,  # nothing strains: it is rounding
+        energy_error=0.0 if evidence.idle else energy_error,  # nothing strains: it is rounding
         energy_rounding=energy_rounding,
         exact_energy=bound,
         force=evidence.force,
         displacement=evidence.length,
-        energy_norm=evidence.energy,
+        energy_norm=evidence.energy_norm,
     )
 
 
@@ -310,7 +312,7 @@ class Evidence:
         self.residual = residual
         # w'Aw = w . (f - r); where bodies expand freely only the stresses have energy
         energy = _sum(self.unknowns, load - residual) + problem.volumes.energy(pressures)
-        self.energy = float(
+        self.energy_norm = float(
             np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0)))
         )
         self._measure_contact()
@@ -543,16 +545,22 @@ class Evidence:
         )
 
     def tangential(self) -> tuple[Condition, Condition, Condition]:
-        """Return friction beyond its bound, and not opposite to the slip."""
+        """Return friction beyond its bound, friction that is not on its bound and opposite to the slip, and
+        slip along the friction.
+
+        A node whose friction drives its slip violates the last two. The second one is over the sum of
+        all bounds: where bounds elsewhere are large, only the third one finds this node."""
         size = np.linalg.norm(self.friction, axis=1)
         slip = np.linalg.norm(self.slip, axis=1)
         work = np.einsum("nd,nd->n", self.friction, self.slip)
         excess = np.maximum(size - self.bound, 0.0)
         # (s + mu p) |tau| + f_t . tau
         short_of_bound = np.maximum(self.bound * slip + work, 0.0)
-        if self.idle:  # the force may be rounding, whose direction means nothing
+        if self.idle:
+            # all forces are rounding, whose direction means nothing: friction of this size may have any
             work = work - self.rounding * slip
-        # a work over the largest force, not over that of the node: open nodes slip freely
+        # works over the scale of forces, a norm over all nodes, not over the force of the node: open nodes
+        # slip freely, and their force may be rounding
         same_way = np.maximum(work, 0.0) / (self.force or 1.0)
         return (
             self._forces("friction bound", excess),
@@ -597,7 +605,7 @@ class Evidence:
         conditions = ContactValues(self.gap, self.slip, self.pressure, self.friction)
         forces = self.problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
         # an energy: the square of a norm
-        negligible = (_NEGLIGIBLE * rtol * self.energy) ** 2
+        negligible = (_NEGLIGIBLE * rtol * self.energy_norm) ** 2
         error, wrong = self._error_with_status_held(
             conditions, self.unknowns, forces, aggregates, negligible
         )
@@ -606,9 +614,13 @@ class Evidence:
         rounding = self.energy_rounding
         # methods stop improving with forces of .07 to 1.2 times the rounding (beams of 50 to 147 : 1)
         balanced = _norm(self.left) <= self.rounding
-        if aggregates is not None and balanced and rtol * self.energy < error < self.energy:
+        if (
+            aggregates is not None
+            and balanced
+            and rtol * self.energy_norm < error < self.energy_norm
+        ):
             rounding = max(rounding, self._attainable(conditions, aggregates))
-        return ratio(error, self.energy), ratio(rounding, self.energy)
+        return ratio(error, self.energy_norm), ratio(rounding, self.energy_norm)
 
     def _attainable(self, conditions: ContactValues, aggregates: Aggregates) -> float:
         """Return the energy error that rounding of the residual leaves: the largest one that residuals
@@ -645,18 +657,24 @@ class Evidence:
     ) -> tuple[float, bool]:
         """Return a bound of ||u - u_h||_A for ``unknowns`` u (n_nodes, dim) with the contact status held,
         infinite where it leaves a loaded motion free; and whether the corrected displacement contradicts
-        this status. ``forces`` (n_nodes, dim) are the unexplained ones. Symbols are those of
-        :mod:`adaptmg.solver.energy_error`."""
+        this status. ``forces`` (n_nodes, dim), N, are the unexplained ones, A u - b minus the claimed
+        contact forces; ``negligible`` is an energy, N m, below which the correction need not be known.
+
+        With the symbols of :mod:`adaptmg.solver.energy_error`: z takes u to v = u + z, which meets the
+        constraints of the status, whose lawful contact forces f at u are near the claimed ones: none at
+        open nodes but friction that needs no pressure, that of slipping nodes on its bound. Unexplained
+        at v is e = A v - b - f. The correction y takes e away, and with the pressures what volume
+        strains miss, b v - p/kappa (``missed``). So u_h = v - y, and ||u - u_h||_A <= ||z||_A + ||y||_A."""
         nodes = self.problem.contact.nodes
         normals = self.problem.contact.normals
         nearest = self._nearest_status(conditions, unknowns)
         z = nearest.z
         e = _image(self.problem.rows, z)  # A z, the first part of e
         size_of_z = np.sqrt(max(_sum(z, e), 0.0))
-        # e, what is unexplained at v = u + z with the lawful contact forces in place of the claimed ones
+        # the lawful contact forces take the place of the claimed ones
         e += forces
         e[nodes] += conditions.forces(normals) - nearest.lawful
-        contact_forces = e[nodes] + nearest.lawful
+        contact_forces = e[nodes] + nearest.lawful  # A v - b
         missed = self.problem.volumes.missed((unknowns + z).reshape(-1), self.pressures)
         corrected = correction(
             self.problem,
@@ -676,7 +694,6 @@ class Evidence:
         pulls = pressure < -_WRONG * largest_pressure
         contradicts = np.where(nearest.closed, pulls, gap < least_gap).any()
         wrong = bool(contradicts) or not np.isfinite(corrected.energy)
-        # ||u - u_h||_A <= ||z||_A + ||v - u_h||_A
         return float(size_of_z + np.sqrt(corrected.energy)), wrong
 
     def _with_changed_status(

@@ -84,13 +84,15 @@ class ProjectedRun:
         return self._cycles(self.multigrid(len(self.hierarchy) - 1)).step
 
     def multigrid(self, finest: int) -> MultigridCycle:
-        """Build cycles on level ``finest`` and those below."""
+        """Build cycles on level ``finest`` and those below. The coarsest problem is ``condensed`` if its
+        options say so: everything but its contact nodes is eliminated."""
         with self.run.phase("setup"):
             levels = correction_levels(self.hierarchy, self.problems, finest, self.coarse_matrices)
         condensed = None
         if self.coarse.condensed:
             with self.run.phase("factorise"):
                 system = levels[0].system
+                # without loads: each cycle brings its own
                 coarsest = replace(self.problems[0], system=system, load=np.zeros(system.n_dofs))
                 # lenient: where the next mesh is locally the coarser one, some coarse functions
                 # vanish on it

@@ -225,7 +225,8 @@ class Quantities:
 
         That of a load path is in :attr:`adaptmg.PathResult.dissipation`."""
         contact = self.contact
-        # a node that takes over the part of others has the sum of their slips
+        # the force of a node works along the sum of its slip and those of nodes whose part it takes over;
+        # contact.slip is their mean, the sum over measures / weights
         slips = contact.slip * (contact.measures / contact.weights)[:, None]
         return float(np.sum(-contact.force_t * slips))
 

@@ -99,8 +99,8 @@ class Stepped:
         return repr(self.method) if named else f"{type(self.method).__name__}()"
 
     def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
-        """Take steps on the finest level, by default from a nested start, until the test ends
-        it."""
+        """Take steps on the finest level, from ``start`` (n_dofs,) or by default a nested start, until the
+        test ends them."""
         hierarchy.finest.discrete.need_no_volumes("a user-defined method")
         hierarchy.finest.discrete.need_given_friction(
             "a user-defined method", "am.FullMultigrid() or am.ActiveSet()"
@@ -116,7 +116,8 @@ class Stepped:
         finest = len(hierarchy) - 1
         step = self.step_on(levels, finest, unknowns)
         measure = Measure(levels.finest, run).of
-        stop = StopTest(self.rtol, self.max_cycles, levels.shortfall)
+        # levels.shortfall asks the certificate
+        stop = StopTest(self.rtol, self.max_cycles, shortfall=levels.shortfall)
         with run.phase("cycles"):
             state, status = iterate(step, measure, State(unknowns=unknowns), stop, run)
         return levels.outcome(state, status, stop, self.rtol)

@@ -171,6 +171,14 @@ def test_a_body_moved_along_the_obstacle_is_solved():
     np.testing.assert_allclose(result.displacement, [[1e-5, 0.0]] * 25, atol=1e-15)
 
 
+def test_supports_with_the_same_values_but_for_rounding_agree():
+    mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    left = am.Support("left", x=lambda points: 0.1 + points[:, 0] + 0.2)
+    fixed, values = am.discrete.fixed_dofs(mesh, [left, am.Support("bottom", x=0.3)])
+    assert 0.1 + 0.2 != 0.3 and fixed.sum() == 5
+    np.testing.assert_allclose(values[fixed], 0.3, rtol=1e-15)
+
+
 test_refused = refused(
     (lambda: am.Spring("foot"), "holds nothing: give normal or tangential"),
     (lambda: am.Spring("foot", normal=-1.0), "normal must be >= 0"),

@@ -49,7 +49,7 @@ def test_cracks_are_meshed_with_two_faces_that_share_tips(mesher):
     domain = plate(np.random.default_rng())
     names = [name for name in domain.boundaries if "kinked" in name or "hole." in name]
     mesh = am.mesh.graded(domain, 0.4, names, 3, mesher=mesher)
-    check_overlap(am.mesh.check_mesh(replace(mesh), dict.fromkeys(domain.boundaries)))
+    check_overlap(am.mesh.check_mesh(replace(mesh), domain.boundaries))
     assert am.mesh.quality(mesh).min_angle > 15
     assert mesh.volumes.sum() == pytest.approx(domain.domain.outline.area, rel=0.01)
     # nodes at one place: three at the branch, as many as faces meet there

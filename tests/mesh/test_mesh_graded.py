@@ -174,7 +174,7 @@ def test_planes_and_boxes_are_meshed_without_netgen(domain, contact, size, ratio
         fine, coarse = (am.mesh.graded(domain, h, contact, ratio) for h in (size, 2 * size))
     assert "Netgen" not in caplog.text
     # whoever checked it: the arrays are sound
-    am.mesh.check_mesh(replace(fine), dict.fromkeys(domain.boundaries))
+    am.mesh.check_mesh(replace(fine), domain.boundaries)
     at = fine.points[fine.elements]
     wanted = np.minimum(
         size, size / ratio + 0.3 * distance_to_boundaries(domain, [contact], at.mean(axis=1))

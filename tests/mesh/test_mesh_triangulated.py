@@ -76,7 +76,7 @@ def _no_netgen(caplog):
 def test_meshes_are_sound_and_delaunay(domain, size):
     mesh = am.mesh.graded(domain, size)
     # by what it is, not by what it says
-    am.mesh.check_mesh(replace(mesh), dict.fromkeys(domain.boundaries))
+    am.mesh.check_mesh(replace(mesh), domain.boundaries)
     outline = getattr(domain, "outline", domain)
     for name in dict.fromkeys(outline.boundaries):
         away = distance_to_boundaries(outline, [name], mesh.points[mesh.boundary_nodes(name)])
