@@ -575,6 +575,22 @@ def test_a_forecast_is_right_to_the_factors_it_names(case):
     assert "nodes" in str(costs) and "MB" in str(costs)
 
 
+@pytest.mark.parametrize(("make", "divisions"), [("greco_bar", 128), ("greco_block", 16)])
+def test_the_memory_of_one_lattice_is_forecast_to_its_factor(make, divisions):
+    def solved():
+        chain = (divisions // 4, divisions // 2, divisions)
+        grids = am.Hierarchy.uniform(am.cases.CASES[make].function(), chain)
+        am.solve(grids, am.FullMultigrid())
+        return grids
+
+    solved()  # kernels are compiled outside of what is measured
+    tracemalloc.start()
+    costs = solved().forecast()
+    used = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert used / 1.5 < costs.memory < 1.5 * used
+
+
 def ball_between_planes():
     ends = am.Outline(
         vertices=((0.0, -1.0), (1.0, 0.0), (0.0, 1.0)),
