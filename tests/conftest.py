@@ -8,9 +8,17 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # threads of BLAS would wait for those 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import matplotlib
+import matplotlib.pyplot as plt
 import pytest
 
 matplotlib.use("Agg")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def closed_pictures():
+    """Leave no picture to the next file, whichever it is: some test that none is left open."""
+    yield
+    plt.close("all")
 
 
 def pytest_configure(config: pytest.Config) -> None:

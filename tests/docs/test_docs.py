@@ -70,6 +70,7 @@ def returned(thing):
 INSIDE = {
     "Anisotropy",
     "Arc",
+    "BlockRows",
     "Computed",
     "Coupling",
     "EnergyTerms",
