@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from bisected_meshes import SQUARE, crooked, cube, random_mask
+from bisected_meshes import SQUARE, crooked, cube, random_mask, shaken
 from bodies import LOWER_ON_UPPER, UPPER_ON_LOWER, bar_on_block, corner_pushed, turned
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
@@ -150,10 +150,22 @@ def test_meshes_that_are_not_nested_are_searched_although_one_is_bisected():
     assert_interpolated_as_by_search(other_diagonals, fine)
     other_nodes, _ = am.mesh.bisect(mesh, random_mask(mesh, 0.2, 8))
     assert_interpolated_as_by_search(other_nodes, fine)
+    assert_interpolated_as_by_search(shaken(mesh, 1e-3), fine)
     points = fine.points.copy()
     points[-1] += 1e-3
     moved = with_refinement(replace(fine, points=points), fine.refinement)
     assert_interpolated_as_by_search(mesh, moved)
+
+
+def test_nodes_at_one_place_are_interpolated_in_their_bodies():
+    """Two triangles touch along their longest edges, of which each mesh halves another one."""
+    points = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 1.0], [0.0, 0.0], [2.0, 0.0], [1.0, -1.0]])
+    mesh = mesh_of(
+        points, [[0, 1, 2], [3, 4, 5]], element_body=np.arange(2), bodies=("upper", "lower")
+    )
+    pair = [am.mesh.bisect(mesh, mesh.element_body == body, passes=1)[0] for body in range(2)]
+    np.testing.assert_array_equal(pair[0].points, pair[1].points)
+    assert_interpolated_as_by_search(*pair)
 
 
 @settings(max_examples=30, deadline=None)
