@@ -320,7 +320,7 @@ class Remesh:
         estimate: Estimate,
         aim: float,
     ) -> np.ndarray:
-        """Return sizes (n_nodes,), m, for a mesh of about ``aim`` nodes, more where this would leave less
+        """Return sizes (n_nodes,), m, for a mesh of about ``aim`` nodes, more where this would leave fewer
         than _EDGES edges along a boundary that may touch."""
         sizes = equilibrated_sizes(mesh, estimate.squares, aim)
         for name in problem.pair_boundaries:

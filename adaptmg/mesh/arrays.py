@@ -725,7 +725,7 @@ def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
 def sorted_facet_keys(facets: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the ascending keys (n,) of facets (n, dim) and the order of the facets, equal ones as they
     come. One number holds a key and its place if it has bits for both, as up to a million plane and
-    8192 solid nodes: 190 000 edges take 3.6 ms, to sort places by their keys 9.1, by counting 6.7."""
+    20 000 solid nodes: 190 000 edges take 3.6 ms, to sort places by their keys 9.1, by counting 6.7."""
     keys = facet_keys(facets, n_nodes)
     bits = len(keys).bit_length()
     if keys.max(initial=0) >> (63 - bits):

@@ -53,7 +53,7 @@ def rows_of(nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """Return the rows of ``nodes``, an array of any shape, in the sorted table of all numbers (n,);
     ValueError if one is not in it."""
     rows = np.searchsorted(numbers, nodes)
-    # -1, which is no number, stands in the row behind the last one
+    # -1, which is not the number of a node, stands in the row behind the last one
     known = np.append(numbers, -1)[rows] == nodes
     if not known.all():
         raise ValueError(f"elements name nodes that it does not hold, such as {nodes[~known][0]}")

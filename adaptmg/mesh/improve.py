@@ -131,7 +131,7 @@ def _inside(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     best = np.zeros(len(nodes), dtype=np.int64)
     shortest = lengths[:, 0]
     for d in (1, 2):
-        # of those that rounding makes different the first
+        # of diagonals that differ only by rounding, the first
         shorter = lengths[:, d] < (1.0 - 1e-9) * shortest
         best = np.where(shorter, d, best)
         shortest = np.where(shorter, lengths[:, d], shortest)

@@ -132,6 +132,7 @@ def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
     cells = nodes[np.s_[:-1, :-1, :-1][:dim]]  # the lowest node of each
     strides = strides_of(counts)
     elements = _repeated_in(_corners(dim) @ strides, cells)
+    # at the end 0 of an axis the first cells along it, at the end 1 the last ones (-1)
     sides = [
         _repeated_in(side_corners @ strides, cells.take([-end], axis=dim - 1 - axis))
         for axis, end, side_corners in _sides(domain.boundaries, dim)

@@ -308,8 +308,8 @@ class SolidSizes:
     function: float | SizeField | None = None
 
     def drafts(self, factor: float, slower: float) -> SolidSizes:
-        """Return the sizes of a draft, ``factor`` times as large, which grow by ``slower`` times the growth
-        that this would be."""
+        """Return the sizes of a draft, ``factor`` times as large; they grow by ``slower`` times
+        min(``factor`` ``grading``, _MAX_GRADING) per distance."""
         function = self.function
         return replace(
             self,
@@ -574,7 +574,7 @@ def _round_nodes(shape: Shape, size: float) -> float:
             edge = surface.extent / _CURVATURE  # extent: of these two surfaces the radius
             if (surface.cylinder or surface.sphere) and 0 < edge < size:
                 # equilateral triangles have 1.15 nodes in the square of their edge; about half of these
-                # are counted, since Netgen's edges are of this length about only
+                # are counted, since Netgen's edges have this length only approximately
                 nodes += 0.6 * area / edge**2
     return nodes
 

@@ -312,14 +312,14 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
 
 def candidates(samples: Sequence[np.ndarray]) -> list[list[Revolved]] | None:
     """Return for each face the surfaces that its ``samples`` lie on (:func:`surfaces_through`); None if
-    those of a face lie on no known surface."""
+    those of a face do not lie on a known surface."""
     surfaces_of_faces = [surfaces_through(patches) for patches in samples]
     return surfaces_of_faces if all(surfaces_of_faces) else None
 
 
 def surfaces_through(patches: np.ndarray) -> list[Revolved]:
     """Return the surfaces that patches (n_patches, n, 6) of n points and normals of a face lie on, none
-    for patches that lie on no known surface."""
+    for patches that do not lie on a known surface."""
     surfaces = [surface_through(patch[:, :3], patch[:, 3:]) for patch in patches]
     return [surface for surface in surfaces if surface is not None]
 

@@ -175,8 +175,8 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
 
 
 def without_search(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array | None:
-    """Return the rows of interpolation between meshes of which it is known how they were made, to
-    rounding; None for others. The rows of boundary nodes interpolate along the boundary."""
+    """Return the rows of interpolation, to rounding, between structured meshes, and between nested
+    ones made by bisection; None for others. The rows of boundary nodes interpolate along the boundary."""
     rows = between_lattices(coarse, fine)
     return between_bisected(coarse, fine) if rows is None else rows
 
