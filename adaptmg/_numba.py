@@ -32,9 +32,9 @@ from adaptmg._text import say
 _LOG = logging.getLogger(__name__)
 
 #: by dimension: what kernels take as ``zero``, a tuple of as many zeros. Its length is part of its type: numba compiles
-#: a kernel for each dimension, with loops of fixed length and without the branches of other dimensions. Products with
-#: matrices of 17k nodes in the plane and 9k in space take .55 and .9 of the time with a length that only the call knows
-#: (measured: the kernel of smoother.strips)
+#: a kernel for each dimension, with loops of fixed length and without the branches of other dimensions. BlockRows.times
+#: with lattices of 17k nodes in the plane and 9k in space takes .56 and .77 of the time of a kernel that gets the
+#: dimension as a number; with stored matrices of the same size .61 and .83
 ZERO = {1: (0.0,), 2: (0.0, 0.0), 3: (0.0, 0.0, 0.0)}
 
 

@@ -75,12 +75,13 @@ class Correction(Protocol):
         limit: np.ndarray,
         initial: InitialContact | None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the coarse gap D (n,), slip U (n, dim - 1) and limit G (n,) of the n coarse contact nodes.
+        """Return the coarse gap D (n,), m, slip U (n, dim - 1), m, and limit G (n,), N, of the n coarse
+        contact nodes.
 
-        Of the m fine contact nodes ``opening`` (m,), m, is g0 - w_n, ``slip`` (m, dim - 1), m, and
-        ``limit`` (m,), N, the sliding limit s + mu p; ``reach`` says which of them each coarse node
-        reaches. ``initial``: the first solution on the coarse level, if ``needs_initial``, else
-        None."""
+        The arguments belong to the k fine contact nodes: ``opening`` (k,) is g0 - w_n in m, ``slip``
+        (k, dim - 1) is in m, and ``limit`` (k,) is the sliding limit s + mu p in N. ``reach`` says
+        which of them each coarse node reaches. ``initial`` is the first solution on the coarse level
+        if ``needs_initial``, else None."""
         ...
 
 

@@ -87,9 +87,9 @@ class LinearLevel:
         matrix. f is the load, A = L + D + U.
 
         Pairs of sweeps go forward and backward; an odd number has one more forward sweep in front of
-        the pairs. A forward sweep leaves s = f - L u in
-        ``rest`` and ends with D u = s - U u, where u is that before the sweep, zero in the first one. A
-        backward sweep keeps s and ends with D u = s - U u, where u is that after it."""
+        the pairs. A forward sweep leaves s = f - L u in ``rest`` and ends with D u = s - U u, where u on
+        the right is that before the sweep, zero in the first one. A backward sweep keeps s and ends
+        with D u = s - U u, where u is that after it."""
         matrix = self.matrix
         u = self.solution
         rest = self.rest
@@ -191,9 +191,9 @@ class LinearCycle:
         ``correct`` a :class:`~adaptmg.multigrid.cycle.Cycle`
             A cycle of its shape, with its own numbers of sweeps on all levels in place of ``sweeps``.
         ``correct`` a :class:`LinearCorrection`
-            It solves all coarse problems by itself: ``sweeps`` has no effect, nor would
-            ``coarse_solve`` and ``coarse_smoother``, which
-            :class:`~adaptmg.multigrid.truncated_parts.Truncated` refuses.
+            It solves all coarse problems by itself: ``sweeps`` has no effect.
+            :class:`~adaptmg.multigrid.truncated_parts.Truncated` refuses ``coarse_solve`` and
+            ``coarse_smoother`` next to it.
 
         In both kinds of cycles ``coarse_solve`` replaces the LU factors of the coarsest problem. On
         each level above it one call of ``coarse_smoother`` replaces all sweeps before the coarse
@@ -286,11 +286,7 @@ class LinearCycle:
     def _prepared(self, number: int) -> PreparedSolve:
         """Set the user-defined correction up for the levels below ``number``."""
         coarse_matrices = [level.matrix for level in self.levels[:number]]
-        # rows of fixed and truncated dofs are empty: with the largest diagonal entry on their diagonal a
-        # user's method can divide by it
-        matrices = [
-            _regular_sparse(matrix, _largest_diagonal(matrix)) for matrix in coarse_matrices
-        ]
+        matrices = [_with_full_diagonal(matrix) for matrix in coarse_matrices]
         prolongations = [
             by_dofs(level.prolongation, level.matrix.n_dofs) for level in self.levels[1:number]
         ]
@@ -318,9 +314,10 @@ def by_dofs(prolongation: sparse.csr_array, n_dofs: int) -> sparse.csr_array:
     return sparse.kron(prolongation, sparse.eye_array(size), format="csr")
 
 
-def _largest_diagonal(level: SplitMatrix) -> np.ndarray:
-    """Return the size of the largest diagonal entry, once for each dof (n_dofs,)."""
-    return np.full(level.n_dofs, level.diagonal_sizes.max())
+def _with_full_diagonal(level: SplitMatrix) -> sparse.csr_array:
+    """Return the matrix for user-defined methods, which may divide by the diagonal: the empty rows of
+    fixed and truncated dofs get the largest diagonal entry."""
+    return _regular_sparse(level, np.full(level.n_dofs, level.diagonal_sizes.max()))
 
 
 class CoarseFactors:
@@ -582,9 +579,7 @@ class _LevelSmoother:
     """A :class:`LinearSmoother` set up for the matrix of a level."""
 
     def __init__(self, custom: LinearSmoother, level: SplitMatrix) -> None:
-        # rows of fixed and truncated dofs are empty: with the largest diagonal entry on their diagonal a
-        # user's smoother can divide by it
-        self.matrix = _regular_sparse(level, _largest_diagonal(level))
+        self.matrix = _with_full_diagonal(level)
         self._smoother = checks.offers(
             "coarse_smoother: what setup returns",
             custom.setup(self.matrix),

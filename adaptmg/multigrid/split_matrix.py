@@ -273,12 +273,14 @@ def nodal_prolongations(hierarchy: Grids) -> list[sparse.csr_array]:
 
 
 def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> list[SplitMatrix]:
-    """Return the Galerkin matrices of all levels, coarsest first. On nested meshes the discretised
-    matrix is the Galerkin one and is taken over: where the meshes are so by construction
-    (:func:`_of_nested_elements`), which needs no test, or the matrices pass one (:func:`_nested`).
-    Not with coupled bodies, whose truncated matrices need more entries near contact. Of the finest
-    of several matrices, which no truncation changes, one half is stored: it stays symmetric. Idle
-    nodes of a level are those that no node of the next finer one is interpolated from."""
+    """Return the Galerkin matrices of all levels, coarsest first.
+
+    On nested meshes the discretised matrix is the Galerkin one and is taken over, either without a
+    test, if the meshes are nested by construction (:func:`_of_nested_elements`), or if the matrices
+    pass one (:func:`_nested`). Matrices of coupled bodies are always products: truncated ones need
+    more entries near contact. No truncation changes the finest of several matrices: it stays
+    symmetric, and one half of it is stored. Idle nodes of a level are those that no node of the next
+    finer one is interpolated from."""
     fine = hierarchy.finest.discrete
     rows = fine.rows
     result = [split(rows, fine.fixed, symmetric=len(hierarchy) > 1)]

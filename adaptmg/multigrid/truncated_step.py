@@ -58,7 +58,7 @@ from adaptmg.smoother.interior_point import DenseSpan, dense_factors, interior_p
 from adaptmg.smoother.system import LocalSystem
 
 #: entries of long vectors that a recombination takes at a time: its temporary arrays stay in the cache, and need no new
-#: memory. Those of a solve with 263k nodes take 39 ms; 41 at 65 536, 50 at 4096, 63 with whole vectors
+#: memory. The recombinations of a solve with 263k nodes take 39 ms; 41 at 65 536, 50 at 4096, 63 with whole vectors
 PART = 16_384
 
 
@@ -474,7 +474,8 @@ class TruncatedStep:
         return combined, combined_residual
 
     def _least_weights(self, state: TruncatedState, coarse_residual: np.ndarray) -> np.ndarray:
-        """Return the alpha (k,) of :meth:`_recombined`."""
+        """Return the weights alpha (k,) of :meth:`_recombined`, from sums over the parts of the
+        residuals."""
         n_changes = len(state.past) + len(state.uniform)
         products = np.zeros((n_changes, n_changes))
         loads = np.zeros(n_changes)
@@ -557,7 +558,7 @@ class TruncatedStep:
 
 
 def _parts(n: int) -> Iterator[slice]:
-    """Yield the parts of a long vector."""
+    """Yield the slices of ``PART`` entries of a vector (n,)."""
     for first in range(0, n, PART):
         yield slice(first, first + PART)
 

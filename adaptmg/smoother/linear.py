@@ -128,13 +128,14 @@ class Direct:
     ) -> Factorised:
         """Factorise; see :class:`LinearSolver`. The order of elimination of ``previous``, which
         should have the same pattern, is reused. Only its length is compared: with another pattern the
-        factors fill in more, and are as right."""
+        factors are correct, but have more entries."""
         if isinstance(previous, Factorised) and len(previous.factors.order) == matrix.shape[0]:
             order = previous.factors.order
         else:
             size = matrix.blocksize[0]
             order = dofs_of(nested_dissection(node_graph(matrix)), size)
-        # without symmetry also pivots off the diagonal, where its entry is a thousandth of its column
+        # without symmetry also pivots off the diagonal, where its entry is below a thousandth of the
+        # largest of its column
         try:
             factors = OrderedFactors.of(sparse.csr_array(matrix), order, 0.0 if symmetric else 1e-3)
         except RuntimeError as error:
