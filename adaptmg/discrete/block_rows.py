@@ -118,6 +118,14 @@ class BlockRows:
         columns = self.indices[places]
         return places, columns + nodes[rows] if len(self.kinds) else columns, rows
 
+    def at_nodes(self, nodes: np.ndarray) -> sparse.bsr_array:
+        """Return the rows (n * dim, n_dofs) of nodes (n,)."""
+        places, columns, rows = self.entries(nodes)
+        blocks = self.data.reshape(-1, self.dim, self.dim)[places]
+        starts = np.searchsorted(rows, np.arange(len(nodes) + 1))
+        shape = (self.dim * len(nodes), self.dim * self.n_nodes)
+        return sparse.bsr_array((blocks, columns, starts), shape=shape)
+
     def times(self, vector: np.ndarray) -> np.ndarray:
         """Return the product (n_dofs,) with a vector, summed as scipy does."""
         result = np.empty(self.dim * self.n_nodes)

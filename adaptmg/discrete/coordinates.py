@@ -34,6 +34,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.block_rows import BlockRows
 from adaptmg.discrete.contact_nodes import ContactNodes
 from adaptmg.discrete.elasticity import nodal_matrix
 from adaptmg.discrete.supports import Inclined
@@ -204,7 +205,7 @@ class Unknowns:
     and back. A solution is one vector (n_unknowns,): the unknowns of the nodes, then the pressures
     of volumes, which are the same in every system."""
 
-    matrix: sparse.bsr_array
+    rows: BlockRows
     load: np.ndarray
     contact: ContactNodes
     coupling: Coupling | None
@@ -302,7 +303,7 @@ class Unknowns:
         along held directions; see :meth:`from_prescribed`."""
         load = self.load
         if self.fixed_values.any():
-            load = load - self.matrix @ self.fixed_values
+            load = load - self.rows.times(self.fixed_values)
         return self.free_part(load)
 
     def at_contact(self, unknowns: np.ndarray) -> np.ndarray:

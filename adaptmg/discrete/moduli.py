@@ -29,9 +29,8 @@ PLASTIC_EDGE_PART = 0.3 - 2 / 3
 #: components of the columns, and where they stand in the order of Voigt
 PAIRS = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)])
 _VOIGT = [0, 1, 2, 5, 3, 4]
-_SHEAR_PART = np.diag(
-    [2.0, 2.0, 2.0, 1.0, 1.0, 1.0]
-)  # of an isotropic tensor with the shear modulus 1
+#: of an isotropic tensor, with the shear modulus 1
+_SHEAR_PART = np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
 
 
 def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]:

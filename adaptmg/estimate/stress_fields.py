@@ -263,7 +263,7 @@ class Solved:
         """Return the unknowns and the forces A u (n_dofs,), those of the pressures of volumes
         included, in relative coordinates."""
         unknowns = self.discrete.relative(self.result.displacement).reshape(-1)
-        forces = self.discrete.matrix @ unknowns
+        forces = self.discrete.rows.times(unknowns)
         return unknowns, forces + self.discrete.volumes.forces(self.result.pressures)
 
     def check_loads(self) -> None:
@@ -282,7 +282,7 @@ class Solved:
         missed = euclidean_norm(of_result - inclined.free_part(self.discrete.load))
         if missed <= allowed:
             return
-        rounding = checks.ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
+        rounding = checks.ROUNDING * euclidean_norm(self.discrete.rows.diagonal() * unknowns)
         nodal_forces = load_vector(
             self.mesh, self.problem.loads, self.problem.material, self.problem.elements
         )

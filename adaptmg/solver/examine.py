@@ -524,7 +524,7 @@ def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> flo
     between bodies relative."""
     flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
     return float(
-        np.sqrt(problem.stress_energy(flat, energy_norm(flat, problem.matrix @ flat) ** 2))
+        np.sqrt(problem.stress_energy(flat, energy_norm(flat, problem.rows.times(flat)) ** 2))
     )
 
 
@@ -545,9 +545,11 @@ class Sizes:
         if not self.prescribed:
             return
         fixed = problem.fixed
-        lift = problem.matrix @ problem.fixed_values  # A ubar, ubar the prescribed values
+        lift = problem.rows.times(problem.fixed_values)  # A ubar, ubar the prescribed values
         self._lift_energy = float(np.einsum("i,i->", problem.fixed_values, lift))  # ubar'A ubar
-        self._fixed_rows = sparse.csr_array(problem.matrix)[np.flatnonzero(fixed)]
+        nodes = np.flatnonzero(fixed.reshape(-1, problem.dim).any(axis=1))
+        is_fixed = fixed.reshape(-1, problem.dim)[nodes].reshape(-1)
+        self._fixed_rows = sparse.csr_array(problem.rows.at_nodes(nodes))[is_fixed]
         self._lift_at_fixed = lift[fixed]
         self._load_at_fixed = problem.load[fixed]
         self._free_load = euclidean_norm(problem.load[~fixed])

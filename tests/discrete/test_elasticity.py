@@ -10,7 +10,6 @@ import pytest
 from bisected_meshes import shaken
 from made_bodies import joined
 from refused import refused
-from scipy import sparse
 from two_materials import BOTH_ELEMENTS, EACH_KIND, KINDS, MESHES
 
 import adaptmg as am
@@ -209,11 +208,7 @@ def test_a_large_lattice_has_the_matrix_of_the_same_mesh_numbered_at_random(name
     np.testing.assert_array_equal(repeated.times(vector), matrix @ vector)
     nodes = rng.permutation(mesh.n_nodes)[:50]
     for rows in (repeated, stored):
-        places, columns, of_nodes = rows.entries(nodes)
-        blocks = rows.data.reshape(-1, mesh.dim, mesh.dim)[places]
-        indptr = np.append(0, np.cumsum(np.bincount(of_nodes)))
-        shape = mesh.dim * len(nodes), matrix.shape[1]
-        some = sparse.bsr_array((blocks, columns, indptr), shape=shape).toarray()
+        some = rows.at_nodes(nodes).toarray()
         np.testing.assert_array_equal(some, matrix.tocsr()[dofs_of(nodes, mesh.dim)].toarray())
 
 
