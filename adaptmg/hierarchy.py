@@ -42,11 +42,11 @@ if TYPE_CHECKING:
 
 Divisions = int | tuple[int, ...]
 #: bytes a node of the finest mesh, by dimension, from problem to solution by the default method: measured on uniform
-#: and graded bars, dovetails, blocks and pairs of 700 to 66 000 nodes, smoothed elements left out. Plane 1620 to
-#: 2470 B, in space 5240 to 8240 B
+#: and graded bars, dovetails, blocks and pairs of 700 to 66 000 nodes whose matrices are stored, smoothed elements left
+#: out. Plane 1620 to 2470 B, in space 5240 to 8240 B
 _BYTES = {2: 2000.0, 3: 6500.0}
 #: and of one lattice, whose matrix is a table of a few rows: bars of 4200 to 263 000 nodes 655 to 1150 B, blocks of
-#: 4900 to 36 000 nodes 1640 to 2960 B; smaller lattices, and those with springs or inclined supports, as above
+#: 4900 to 36 000 nodes 1640 to 2960 B
 _LATTICE_BYTES = {2: 900.0, 3: 2300.0}
 #: processor seconds a node in the same solves: plane 3.2e-6 to 33e-6 s, in space 17e-6 to 71e-6 s
 _SECONDS = {2: 10e-6, 3: 35e-6}
@@ -69,9 +69,9 @@ class Forecast(NamedTuple):
     nodes, unknowns : int
         Of the finest mesh.
     memory : float
-        Bytes, from problem to solution; right to a factor of 1.5 for linear elements. Of lattices it
-        counts on 4000 nodes or more, without springs and inclined supports; others take 2.5 to 3
-        times this.
+        Bytes, from problem to solution; right to a factor of 1.5 for linear elements. A lattice is
+        taken to have at least 4000 nodes, one uniform material, and neither springs nor inclined
+        supports; others take two to three times as much.
     seconds : float
         Of one processor like that of the measurements, meshes included, by the default method with
         a start on the coarsest level of this hierarchy; right to a factor of 4 in 14 cases, among
