@@ -383,7 +383,8 @@ def test_every_cut_is_noticed(tmp_path):
 @pytest.mark.filterwarnings("ignore:.*have no name in the file")
 def test_damaged_files_are_read_soundly_or_refused(tmp_path):
     refused = 0
-    for seed in range(24):
+    # seeds that reach a crash of OCC, an error inside meshio, missing nodes and overlapping elements
+    for seed in range(9, 33):
         name, data = damaged(seed)
         path = tmp_path / f"{seed}-{name}"
         path.write_bytes(data)
