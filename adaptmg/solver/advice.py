@@ -257,9 +257,7 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
     )
     # a node that has jumped is beyond the slips where friction falls fastest, and shows nothing
     slopes_of_slip = [
-        slope_of_slip
-        for share in SLIP_SHARES
-        for _, _, slope_of_slip in [friction_bound(discrete.friction_at, force, share * slip)]
+        friction_bound(discrete.friction_at, force, share * slip)[2] for share in SLIP_SHARES
     ]
     steepest = np.min(slopes_of_slip, axis=0)
     stiffness = np.abs(np.diagonal(blocks[:, 1:, 1:], axis1=1, axis2=2)).max(axis=1)
