@@ -100,7 +100,11 @@ Solve = Callable[[dict[str, np.ndarray], Result | None, float], tuple[Result, Ca
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """The starts that the steps before offer to a step."""
+    """The starts that the steps before offer to a step. Solutions of the finest level have the values
+    that supports prescribe in this step: with those of the step before, residuals would not show that
+    supports have moved. 18 paths of a block of 289 nodes on a moving support take 1006 cycles of Multigrid
+    in place of 1036; a SingleGrid on 153 nodes takes 30 sweeps in place of 2253 for the second step of
+    a proportional motion without friction."""
 
     last: np.ndarray  # solution (n_unknowns,) after the step before
     extrapolated: np.ndarray  # (n_unknowns,): from the last two steps in the loads
@@ -140,16 +144,13 @@ def coarse_displacements(hierarchy: Grids, displacement: np.ndarray) -> list[np.
 _EXTRAPOLATE = 0.05
 
 
-def extrapolated_outcome(
-    problem: DiscreteProblem, rtol: float, examiner: Examiner, run: Run, past: Past
-) -> Outcome | None:
+def extrapolated_outcome(rtol: float, examiner: Examiner, run: Run, past: Past) -> Outcome | None:
     """Return the extrapolation as the outcome of a step if the certificate finds it as accurate as
     ``rtol``, else None. A step that is proportional to the last one then costs only this certificate,
     which its result needs anyway: 20 such steps on 4225 nodes take 0.6 of the time. 17 paths with 340
     steps take 1241 cycles in place of 1326, and the certificate refuses 10 of 173 extrapolations; if
     a tenth of the residual is required, 1279 cycles, and it refuses none of 144."""
-    # the extrapolation with the values that supports prescribe in this step
-    solution = problem.with_prescribed(problem.from_prescribed(past.extrapolated))
+    solution = past.extrapolated
     with run.phase("start"):
         residual = examiner.relative_residual(solution)
     if residual > StopTest.RESIDUAL_FACTOR * rtol or run.shortfall(solution, rtol) > 0.0:
@@ -183,7 +184,7 @@ def step_outcome(
     extrapolates = past.has_previous and not past.is_start and (is_truncated or is_repeated)
     rtol = getattr(solver, "rtol", None)
     if extrapolates and isinstance(rtol, float):  # not "discretisation", which needs a nested start
-        outcome = extrapolated_outcome(hierarchy.finest.discrete, rtol, examiner, run, past)
+        outcome = extrapolated_outcome(rtol, examiner, run, past)
         if outcome is not None:
             # all but that of the finest level, which the outcome has
             return outcome, multigrid, past.extrapolated_level_displacements[:-1]

@@ -18,6 +18,7 @@ import numpy as np
 from adaptmg.discrete.named_loads import LoadSteps, load_steps, whole_load
 from adaptmg.discrete.obstacles import check_held, moved
 from adaptmg.discrete.posed import Posed
+from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.evolution.load_steps import (
     Controls,
@@ -119,7 +120,7 @@ class PathLoop:
         parts = self.controls.unknowns(factors)
         motions = self.controls.motions
         if parts:
-            self._check_statics(k, self._posed(k, motions))
+            self._check_statics(k, self._posed(k, motions, only_ends=True))
             result, (grids, coarse), motions = self.controls.find(
                 parts,
                 lambda motions, near, loose: self._solve(k, motions, near, progress, loose),
@@ -156,12 +157,13 @@ class PathLoop:
         large as ``loose``."""
         run, grids, forces = self._set_up(k, motions, progress)
         run.examiner = self.examiner
+        problem = grids.finest.discrete
         with run.phase("setup"):
             past = Past(
                 level_displacements=self.displacements,
                 extrapolated_level_displacements=self._extrapolated_displacements(k),
-                last=self.recent[-1][0],
-                extrapolated=self._start(k, near),
+                last=with_values_of(problem, self.recent[-1][0]),
+                extrapolated=with_values_of(problem, self._start(k, near)),
                 has_previous=len(self.recent) > 1,
                 is_start=near is not None,
                 loose=loose,
@@ -174,7 +176,7 @@ class PathLoop:
         outcome, self.multigrid, coarse = step_outcome(
             self.step_solver, self.multigrid, grids, self.examiner, run, past
         )
-        outcome = checked_outcome(outcome, self.solver, grids.finest.discrete)
+        outcome = checked_outcome(outcome, self.solver, problem)
         self._fix_tolerance(outcome.rtol)
         outcome = handed_over(outcome, grids, run)
         with run.phase("result"):
@@ -362,12 +364,17 @@ class PathLoop:
         return last + self._ratio(k) * (last - self.recent[0][0])
 
     def _extrapolated_displacements(self, k: int) -> list[np.ndarray]:
-        """Return the displacements (n_dofs,) of all levels for step k, extrapolated as the start. Ten paths take
-        1323 cycles; with those of the last step in place of it, where an extrapolation is accepted,
-        1347."""
+        """Return the displacements (n_dofs,) of all levels for step k, extrapolated as the start. Ten
+        paths take 1323 cycles; with those of the last step in place of it, where an extrapolation is
+        accepted, 1347."""
         ratio = self._ratio(k)
         pairs = zip(self.displacements, self.displacements_before, strict=True)
         return [last + ratio * (last - before) for last, before in pairs]
+
+
+def with_values_of(problem: DiscreteProblem, solution: np.ndarray) -> np.ndarray:
+    """Return a solution (n_unknowns,) with the values that supports prescribe in a problem."""
+    return problem.with_prescribed(problem.from_prescribed(solution))
 
 
 def _posed_with_names(grids: Grids) -> list[Posed | None]:

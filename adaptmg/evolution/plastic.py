@@ -29,7 +29,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import PlasticState, StressData
 from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.evolution.load_steps import without_nested_start
-from adaptmg.evolution.path_loop import PathLoop
+from adaptmg.evolution.path_loop import PathLoop, with_values_of
 from adaptmg.grids import Grids
 from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.truncated_parts import Truncated
@@ -165,7 +165,7 @@ class PlasticLoop(PathLoop):
         """Return the response at the start of step k: at the solution of the step before where the
         load turns round, as bodies are elastic there, and where it solves this step, too, as where
         contact has been lost; else at the extrapolation."""
-        last = problem.with_prescribed(problem.from_prescribed(self.recent[-1][0]))
+        last = with_values_of(problem, self.recent[-1][0])
         response = self.plastic.respond(problem, last, self.state)
         if self._ratio(k) > 0:
             tangent = self.plastic.linearised(problem, response)

@@ -110,6 +110,14 @@ class TestSteps:
         )
         assert all(result.work_units <= 1.1 * first.work_units for result in back)
 
+    def test_starts_of_steps_follow_supports_that_move(self):
+        """Without a change of status the solution is proportional to the motion."""
+        path = am.LoadPath({"top": [0.25, 0.5, 1.0], "left": 0.0})
+        first, *others = am.solve_path(pulled(am.Frictionless()), path, MONOTONE)
+        assert first.cycles > 10 and all(result.cycles <= 3 for result in others)
+        for result, ratio in zip(others, (2, 4), strict=True):
+            np.testing.assert_allclose(result.displacement, ratio * first.displacement, atol=1e-13)
+
     def test_extrapolated_steps_are_as_accurate_as_required(self):
         grids = bar(n=8)
         path = am.LoadPath({"left": np.linspace(0.5, 0.6, 25)}, default=1.0)
