@@ -575,22 +575,6 @@ def test_a_forecast_is_right_to_the_factors_it_names(case):
     assert "nodes" in str(costs) and "MB" in str(costs)
 
 
-@pytest.mark.parametrize(("make", "divisions"), [("greco_bar", 128), ("greco_block", 16)])
-def test_the_memory_of_one_lattice_is_forecast_to_its_factor(make, divisions):
-    def solved():
-        chain = (divisions // 4, divisions // 2, divisions)
-        grids = am.Hierarchy.uniform(am.cases.CASES[make].function(), chain)
-        am.solve(grids, am.FullMultigrid())
-        return grids
-
-    solved()  # kernels are compiled outside of what is measured
-    tracemalloc.start()
-    costs = solved().forecast()
-    used = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert used / 1.5 < costs.memory < 1.5 * used
-
-
 def ball_between_planes():
     ends = am.Outline(
         vertices=((0.0, -1.0), (1.0, 0.0), (0.0, 1.0)),
@@ -637,17 +621,19 @@ def test_a_forecast_counts_cycles(case, divisions):
 
 @pytest.mark.parametrize(
     ("case", "divisions", "most"),
-    [("greco_bar", (4, 8, 16, 32, 64, 128), 640), ("greco_block", (4, 8, 16), 1250)],
+    [("greco_bar", (4, 8, 16, 32, 64, 128), 580), ("greco_block", (4, 8, 16), 1150)],
 )
-def test_memory_of_hierarchy_and_solve_in_bytes_a_dof(case, divisions, most):
+def test_memory_of_hierarchy_and_solve_of_a_lattice_in_bytes_a_dof(case, divisions, most):
+    """501 and 985 are measured, 660 and 1330 with a stored matrix on the finest level."""
     problem = am.cases.CASES[case].function()
-    am.solve(am.Hierarchy.uniform(problem, divisions[:2]))  # imports and kernels
+    am.solve(am.Hierarchy.uniform(problem, divisions))  # imports and kernels
     tracemalloc.start()
     grids = am.Hierarchy.uniform(problem, divisions)
     am.solve(grids)
     used = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert used < most * grids.finest.discrete.n_dofs
+    assert used / 1.5 < grids.forecast().memory < 1.5 * used
 
 
 HALF_DISC = am.Cut(
