@@ -16,7 +16,7 @@ matplotlib.use("Agg")
 
 @pytest.fixture(autouse=True, scope="module")
 def closed_pictures():
-    """Leave no picture to the next file, whichever it is: some test that none is left open."""
+    """Close the pictures of a file: the tests of others check that none is open."""
     yield
     plt.close("all")
 
