@@ -19,6 +19,7 @@ from adaptmg import _checks as checks
 from adaptmg._text import warn_user
 from adaptmg.discrete.elasticity import element_measures
 from adaptmg.discrete.loads import check_loads
+from adaptmg.discrete.moduli import inelastic_bodies
 from adaptmg.discrete.mortar import chord_heights
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
@@ -395,9 +396,12 @@ def _body_volumes(posed: Posed) -> np.ndarray:
 def _energy_excludes_strains(posed: Posed, result: Result, body_volumes: np.ndarray) -> bool:
     """Return whether u'Au is below the energy of strains STRAIN in the share SHARE of any body: at
     least C STRAIN^2 SHARE V, C its least stiffness and V its volume (``body_volumes``, m^2 or m^3).
-    This spares most solves the strains. Bodies that strain without stress may have no energy."""
-    if result.checked is None or any(
-        isinstance(load, InitialStrain) for load in posed.problem.loads
+    This spares most solves the strains. Bodies that yield, or that strain without stress, may have
+    less energy."""
+    if (
+        result.checked is None
+        or inelastic_bodies(posed.materials).any()
+        or any(isinstance(load, InitialStrain) for load in posed.problem.loads)
     ):
         return False
     least_energy = (

@@ -76,6 +76,25 @@ def test_a_squeezed_block_has_the_stress_of_a_point(kind):
     np.testing.assert_allclose(across, 0.0, atol=1e-6)
 
 
+def test_large_strains_of_soft_bodies_are_warned_of():
+    """The tangent of a body that yields has little energy, whatever it strains."""
+    soft = am.Plastic(am.PlaneStrain(young=E, poisson=NU), yield_stress=SIZE, hardening=1e8)
+    problem = am.ContactProblem(
+        material=soft,
+        domain=am.Rectangle(width=1.0, height=1.0),
+        supports=[
+            am.Support("left", x=0.0),
+            am.Support("bottom", y=0.0),
+            am.Support("top", y=-0.06),
+        ],
+        contact=am.Contact("right", am.Plane(point=(1.1, 0.0), normal=(-1.0, 0.0))),
+        law=am.Frictionless(),
+    )
+    grids = am.Hierarchy.uniform(problem, divisions=(2, 4))
+    with pytest.warns(UserWarning, match="strains exceed 5 % in 100 %"):
+        am.solve_path(grids, am.LoadPath({"top": [0.2, 0.6, 1.0]}))
+
+
 @pytest.fixture(scope="module")
 def hill():
     problem = am.cases.hill_cylinder(elements="smoothed")
