@@ -307,6 +307,7 @@ def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
         result: list = [contact.names, contact.masters, contact.nodes, contact.boundary]
         if coupling is not None:
             weights = coupling.weights
+            # fixed: held nodes of masters do not let what faces them move beyond its obstacle
             result += [weights.indptr, weights.indices, weights.data, problem.fixed]
         return result
 

@@ -109,14 +109,14 @@ def facing_obstacle(
     obstacle: Obstacle, boundary: str, points: np.ndarray, normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the normals (n, dim) and gaps (n,) of an obstacle, perhaps user-defined, at points of a
-    boundary, checked."""
+    boundary with outward ``normals``, checked."""
     answer = obstacle.contact(points, normals)
     name = f"the obstacle in front of {boundary!r}"
     if not isinstance(answer, (tuple, list)) or len(answer) != 2:
         raise TypeError(f"{name} must return normals and gaps, got {checks.shown(answer)}")
     directions = checks.array(f"{name}: its normals", answer[0], points.shape)
     lengths = np.linalg.norm(directions, axis=1)
-    if len(points) and not np.abs(lengths - 1).max() <= 1e-6:
+    if len(points) and not np.abs(lengths - 1).max() <= checks.SIX_DIGITS:
         raise ValueError(
             f"{name} must return normals of length 1, got {lengths[np.argmax(np.abs(lengths - 1))]:.6g}"
         )

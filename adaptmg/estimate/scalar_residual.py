@@ -129,6 +129,8 @@ def _flux_squares(
     surface = Surface(mesh.points, np.vstack([near.facets, mesh.facets[free]]))
     leaving = np.vstack([flux[near.pairs[0]] - flux[near.pairs[1]], flux[near.owner[free]]])
     jump = np.einsum("fd,fd->f", surface.normals, leaving)
+    # f + div(k grad u) has on a facet the part -jump; in full contact what of it pulls off the obstacle,
+    # at free facets, too
     first, second = full_contact[sides]
     contact = np.where(first == second, first, 0)
     jump = np.where(contact == 0, jump, np.maximum(-contact * jump, 0.0))

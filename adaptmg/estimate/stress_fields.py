@@ -149,7 +149,8 @@ class Neighbours:
     to."""
 
     pairs: np.ndarray  # (2, n): both elements
-    facets: np.ndarray  # (n, dim): the facet between them
+    # (n, dim): the facet between them; its normal points out of the first one
+    facets: np.ndarray
     owner: np.ndarray  # (n_facets,)
     outer: np.ndarray  # (n_facets,) bool: no element lies on the other side
 

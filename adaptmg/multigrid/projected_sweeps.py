@@ -238,7 +238,8 @@ def _move_master(
     """Move a master by d, and the relative displacements of its followers j by -w_j d, so that these
     stay where they are. A weight w_j has a number for each component, 0 along those that a support
     fixes at the follower. With D, 1 at the master and -w_j at each follower, the energy is least for
-    d = (D'AD)^-1 D'r, of which the inverse is ``master_inverse``.
+    d = (D'AD)^-1 D'r, of which the inverse is ``master_inverse``. ``position`` is the place of
+    ``master`` in ``nodes``.
 
     It is done only if all followers are open before and after it, and have no Tresca limit, which
     would resist the change of their slip without contact; return whether it was done."""
@@ -250,7 +251,7 @@ def _move_master(
     force = read(residual, dim * master, zero)
     for entry in range(begin, end):
         follower = np.uint64(nodes[followers[entry]])
-        if contact_of[follower] < 0:
+        if contact_of[follower] < 0:  # without a contact condition, as tied nodes: it never opens
             return False
         contact = np.uint64(contact_of[follower])
         if values[dim * contact] >= gap[contact] or limit[contact] > 0.0:
@@ -378,7 +379,10 @@ def local(
 
 class Interface:
     """Nodes near contact between bodies and their rows: within ``LAYERS`` edges of the matrix from
-    the slave nodes."""
+    the slave nodes.
+
+    ``nodes`` (n,) are the numbers of these nodes; row i of all other arrays belongs to ``nodes[i]``.
+    ``indices`` are node numbers, ``followers`` places in ``nodes``."""
 
     #: one layer does nearly as well, more than two gain nothing
     LAYERS = 2

@@ -284,7 +284,8 @@ class _Method:
         )
 
     def advance(self) -> bool:
-        """Take a step; return False if the matrix is singular or the new unknowns are not finite.
+        """Take a step; return False if the matrix is singular, the new unknowns are not finite, or no
+        product is left that could tend to 0, as without obstacles and friction.
 
         The predictor aims at products of 0. The corrector aims at their mean times the cube of the
         share that the predictor would leave (Mehrotra). If the corrector allows a short step only, a

@@ -172,6 +172,7 @@ def fingerprint(
             f"run must be a plain function (def), got {function!r}; give constants with fixed={{...}}"
         )
     found = _Parts(depends or {}, function.__globals__)
+    # it is among those that complete() examines, even if it is installed
     found.name_of(function, follow=True)
     return Fingerprint(found.complete())
 
@@ -247,8 +248,8 @@ class _Parts:
             ) from error
 
     def name_of(self, thing: object, follow: bool = False) -> str:
-        """Return the text that represents a function, class or module in values; those of the user
-        are examined later."""
+        """Return the text that represents a function, class or module in values; those of the user,
+        and with ``follow`` installed ones, are examined later."""
         if id(thing) in self._names:
             return self._names[id(thing)]
         module = _module_of(thing)

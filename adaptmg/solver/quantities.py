@@ -262,7 +262,7 @@ class Quantities:
         return self._extent(np.ones(len(self.contact), dtype=bool))
 
     def _extent(self, chosen: np.ndarray) -> np.ndarray:
-        """Return the half-widths (dim,) of contact at some contact nodes, a mask."""
+        """Return the half-widths (mesh.dim,) of contact at some contact nodes, a mask."""
         contact = self.contact
         mesh = need_mesh(self)
         closed = mask_of(contact.node[chosen & contact.closed], mesh.n_nodes)

@@ -225,7 +225,7 @@ def damage(file: Path) -> Iterator[None]:
         what = (
             f"{error.args[0]!r} is missing"
             if isinstance(error, KeyError)
-            else error or type(error).__name__
+            else str(error) or type(error).__name__
         )
         raise ValueError(f"{printable(os.fspath(file))} is damaged: {what}") from error
 
