@@ -154,13 +154,12 @@ def study(out: Output) -> None:
         f"Contact problem ({last['grid, nodes']} nodes), seconds over a linear solve by pyamg; by geometric CG",
         f"{last['contact, default']:.2f}; {last['contact, default'] / last[list(LINEAR)[1]]:.2f}",
     )
-    largest = long[(long["grid"] == "uniform") & (long["method"] == "contact, default")][
-        "over pyamg"
-    ].iloc[-1]
+    # seconds depend on what else the machine does
+    largest = table[table["grid"] == "uniform"].iloc[-1]
     out.check(
-        "seconds of the contact problem over one pyamg solve, largest uniform grid",
-        float(largest),
-        high=0.5 if out.quick else 0.27,
+        "cycles of the contact problem over iterations of pyamg, largest uniform grid",
+        float(largest["contact, default: iterations"] / largest["glued, pyamg CG: iterations"]),
+        high=1.0,
     )
 
 
