@@ -389,13 +389,15 @@ class Hierarchy(Grids):
             Factor by which the element sizes are smaller than those of the finest mesh.
         """
         finest = self.finest
-        dim = finest.discrete.dim if finest.mesh is None else finest.mesh.dim
+        coordinates = finest.discrete.coordinates
+        # without coordinates scalar problems count as plane ones
+        dim = max(finest.discrete.dim, 2) if coordinates is None else coordinates.shape[1]
         cells = (finest.n_nodes ** (1 / dim) - 1) * checks.positive("finer", finer)
         nodes = round((cells + 1) ** dim)
+        unknowns = nodes * finest.discrete.dim
+        dim = max(dim, 2)  # an interval costs no more than a plane
         components = finest.discrete.dim / dim  # 1, or 1 / dim in scalar problems
         cost = nodes * components**2
-        unknowns = nodes * finest.discrete.dim
-        dim = min(max(dim, 2), 3)
         seconds = _SECONDS[dim] * cost
         if finest.mesh is not None and not finest.mesh.lattices:
             seconds += _MESHING[dim] * nodes

@@ -575,6 +575,14 @@ def test_a_forecast_is_right_to_the_factors_it_names(case):
     assert "nodes" in str(costs) and "MB" in str(costs)
 
 
+def test_a_scalar_problem_of_matrices_is_forecast_as_one_of_a_mesh():
+    grids = am.Hierarchy.graded(am.cases.obstacle_problem(), (0.4, 0.2))
+    bare = am.Hierarchy.algebraic(grids.finest.discrete, max_coarse=20)
+    costs = bare.forecast(finer=4)
+    assert (costs.nodes, costs.unknowns) == (grids.forecast(finer=4).nodes,) * 2
+    assert costs.nodes > 10 * grids.finest.n_nodes
+
+
 def ball_between_planes():
     ends = am.Outline(
         vertices=((0.0, -1.0), (1.0, 0.0), (0.0, 1.0)),
