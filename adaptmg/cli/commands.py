@@ -396,6 +396,7 @@ def _study(parsed: Namespace) -> int:
     if parsed.dry_run:
         return 0
     not_converged = 0
+    # a run returns outcome=result.status by convention (how-to on studies)
     if "outcome" in table:
         not_converged = int((table["outcome"].dropna() != "CONVERGED").sum())
     counts = {

@@ -368,7 +368,7 @@ class _Deck:
         # bodies are the sets that have a section, else those that lines *ELEMENT name. In these Gmsh
         # writes the entities of its geometry: without sections all of its sets may be bodies
         if self.sections or not self.of_gmsh:
-            bodies = self.sections or [section for *_, section in self.elements]
+            bodies = self.sections or [elset for *_, elset in self.elements]
             contents.bodies = [self._spelt(name) for name in bodies]
 
     def _add_surfaces(self, contents: Contents, solid: list[_NumberedCells]) -> None:

@@ -222,8 +222,8 @@ def _cut_corners(kind: str) -> Parts:
 
 
 def _core(kind: str) -> tuple[tuple[Corners, ...], Corners]:
-    """Return the cell between the middle nodes of the edges: its facets, as places among its nodes,
-    and its nodes, as local nodes of the kind."""
+    """Return the cell between the middle nodes of the edges, of kinds that have no other nodes between
+    their corners: its facets, as places among its nodes, and its nodes, as local nodes of the kind."""
     shape, n = KINDS[kind]
     n_corners = _CORNERS[shape]
     inner = tuple(range(n_corners, n))

@@ -253,8 +253,9 @@ class TruncatedContact:
         return np.einsum("nd,nd->n", self.node_frames[:, 0], by_node[self.nodes])
 
     def _follow_friction(self, friction_at: FrictionAt, forces: np.ndarray) -> float:
-        """Update the coefficients of friction to the present unknowns and forces, only in part where
-        friction rises with the slip; return the sum of squares of the friction that is then missed.
+        """Update the coefficients of friction to the present unknowns and normal ``forces``
+        (n_contact,), N, at least 0, only in part where friction rises with the slip; return the sum of
+        squares of the friction that is then missed.
 
         Friction that is raised by df shortens the slip of a node of stiffness k by df/k, which lowers
         the friction of the law by h df/k, h its slope by the slip. If a part a of the difference to
@@ -264,8 +265,8 @@ class TruncatedContact:
         size = np.linalg.norm(slip, axis=1)
         bound_of_law, _, slope_of_slip = friction_bound(friction_at, forces, size)
         self.hardening = np.maximum(slope_of_slip, 0.0)
-        # the entry of the last tangent: that of a held one is negative
-        tangential = np.abs(self.blocks.reshape(n, -1)[:, -1])
+        # of the last tangent: the entry of a first one that a support holds has its sign turned
+        tangential = self.blocks.reshape(n, -1)[:, -1]
         part_followed = 1 / (1 + self.hardening / (self.YIELDING * tangential))
         # a new array: copies share the old one
         self.friction = self.friction + part_followed * (friction_at(forces, size) - self.friction)

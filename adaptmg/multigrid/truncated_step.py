@@ -70,7 +70,8 @@ class TruncatedStatus:
     frozen: bool  # whether the bounds g of friction are frozen, which keeps them symmetric
 
 
-#: an iterate (n_unknowns,), and its residual on the next coarser level with what volumes miss behind
+#: an iterate (n_unknowns,), or pressures (n_groups,) alone, and its residual on the next coarser level with what
+#: volumes miss behind
 Recombinable = tuple[np.ndarray, np.ndarray]
 
 
@@ -80,13 +81,14 @@ class TruncatedState:
 
     iterate: np.ndarray  # (n_unknowns,): from the prescribed values, then pressures
     contact: TruncatedContact  # with its local values and status
-    residual: np.ndarray  # (n_dofs,): f - A u; truncated by :meth:`TruncatedStep.linearise`
+    residual: np.ndarray  # (n_dofs,): f - B'p - A u; truncated by :meth:`TruncatedStep.linearise`
     cycles: int = 0  # corrections so far
     correction: float = np.nan  # energy of the last correction, N m: it estimates that of the error
     corrected: bool = False  # whether a correction came after the start and the last move
     #: newest first, in turns a recombined iterate and the one it was made from
     past: tuple[Recombinable, ...] = ()
-    uniform: tuple[Recombinable, ...] = ()  # further directions: a uniform pressure in each body
+    # further directions: a uniform pressure in each body, without displacements
+    uniform: tuple[Recombinable, ...] = ()
     cautious: int = 0  # steps of the pressures that are still cautious
     linearised: TruncatedStatus | None = None  # None: at a start, which is not smoothed
     # the residual on the next coarser level, and what volumes miss
@@ -256,7 +258,7 @@ class TruncatedStep:
         in the coarse matrices, which keeps them symmetric."""
         unknowns, pressures = self.parts(state)
         contact = state.contact
-        residual = state.residual  # f - A u, which is truncated in place below
+        residual = state.residual  # f - B'p - A u, which is truncated in place below
         energy = np.nan
         if with_energy:
             # u'Au = u'f - u'r, and the energy of the pressures
@@ -264,6 +266,7 @@ class TruncatedStep:
             energy = _product(unknowns, balanced) - _product(unknowns, residual)
             energy += self.pressures.volumes.energy(pressures)
         changed, natural_squares, reaction_squares = contact.update_status(residual)
+        # only pressures need it
         full_residual = residual.copy() if len(pressures) else residual
         truncated_squares = contact.truncate(residual)
         n = self.coarse.n_dofs
@@ -293,7 +296,7 @@ class TruncatedStep:
     ) -> TruncatedState:
         """Return a measured state with the linear problem of its status: if that has changed, the
         earlier iterates had another one and are dropped. ``full_residual`` (n_dofs,) is that before
-        the truncation."""
+        the truncation, which is read where there are pressures."""
         contact = state.contact
         if state.linearised is None or state.changed or frozen != state.linearised.frozen:
             # a start has no status that moves: if it counts, 46 problems with Poisson's ratios of .45
@@ -363,9 +366,9 @@ class TruncatedStep:
         truncated: np.ndarray,
         pressures: np.ndarray,
     ) -> Recombinable:
-        """Return uniform ``pressures`` q as a direction of recombination: their changes of the restricted
-        residual, P'(T(r - B'q) - T r), and of the missed volumes, -q/kappa. ``whole`` is the residual r
-        before the truncation T, ``truncated`` that after it."""
+        """Return uniform ``pressures`` q (n_groups,), Pa, as a direction of recombination: their changes
+        of the restricted residual, P'(T(r - B'q) - T r), and of the missed volumes, -q/kappa.
+        ``whole`` (n_dofs,) is the residual r before the truncation T, ``truncated`` that after it."""
         volumes = self.pressures.volumes
         changed = whole - volumes.forces(pressures)
         restricted = np.empty(self.coarse.n_dofs)

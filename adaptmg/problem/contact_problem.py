@@ -40,7 +40,9 @@ CONTACT = "contact"  # name of all contact boundaries together
 _MOST_STIFFER = 1 / np.finfo(np.float64).eps
 ELEMENTS = ("linear", "smoothed")
 UNNAMED = "contact problem"  # the default name, which titles leave out
-# of smoothed elements of one part: the Poisson's ratio at which it is all of Lame's first constant
+# Poisson's ratio at which Lame's first constant is EDGE_PART times the shear modulus. Smoothed elements split it
+# above this value into a part on edges and one on groups of nodes, which only isotropic materials do; sheets in
+# plane stress stay below
 _MOST_POISSON = EDGE_PART / (2 * (1 + EDGE_PART))
 
 

@@ -436,8 +436,9 @@ def _forces_on_other_nodes(
     slave surfaces; the others are on masters.
 
     With the shares V (n_contact, n_nodes) that contact nodes take over and contact forces f, nodes of
-    a contact boundary without a condition carry V'f; but of the part P f that supports hold at the
-    contact node only what supports hold at these nodes, too. Nodes of a master carry -W'f, with the
+    a contact boundary without a condition carry V'(f - P f) + P_i V'P f. P projects on what supports
+    hold at the contact nodes, and P_i on what they hold at node i: a force on a support of the contact
+    node goes into that support, unless node i has it, too. Nodes of a master carry -W'f, with the
     weights W of :func:`_weights_of_masters`."""
     contact = discrete.contact
     dim = discrete.dim
@@ -445,7 +446,7 @@ def _forces_on_other_nodes(
     pieces = [
         (np.empty(0, dtype=np.int64), np.empty((0, dim)), np.empty(0, np.int64), np.empty(0, bool))
     ]
-    if discrete.coupling is None:
+    if discrete.coupling is None:  # nodes that are taken over would have made one
         return pieces[0]
     held_forces = np.einsum("nij,nj->ni", discrete.held_spans(contact.nodes), forces)
     all_weights, all_forces, boundaries = _weights_of_masters(discrete, forces)
@@ -455,6 +456,7 @@ def _forces_on_other_nodes(
         neighbours = np.unique(taken_over.indices).astype(np.int64)
         carried = (taken_over.T @ forces[slaves])[neighbours]
         held = (taken_over.T @ held_forces[slaves])[neighbours]
+        # V'f - (V'P f - P_i V'P f)
         carried -= held - np.einsum("nij,nj->ni", discrete.held_spans(neighbours), held)
         pieces.append((neighbours, carried, np.full(len(carried), k), np.full(len(carried), True)))
         rows = np.flatnonzero(boundaries == k)
