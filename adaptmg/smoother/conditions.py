@@ -154,10 +154,19 @@ class Linearised:
         return contact_codes(self.active, ~self.slip, backwards).tobytes()
 
     @property
-    def same_matrix(self) -> bool:
-        """Return whether every step with this :attr:`key` has the same matrix: no curvature,
-        directions in the key."""
-        return not self.curvature.any() and (self.direction.shape[1] == 1 or self.symmetric)
+    def pull(self) -> np.ndarray:
+        """Return mu z (n, dim - 1), the multiples of the normal row that tangential rows lose."""
+        return self.coupling[:, None] * self.direction
+
+    def has_matrix_of(self, other: Linearised) -> bool:
+        """Return whether both steps change the same terms of the matrix. At the same :attr:`key` they
+        may differ by friction or compliance that follows the state."""
+        return (
+            np.array_equal(self.prescribed, other.prescribed)
+            and np.array_equal(self.pull, other.pull)
+            and np.array_equal(self.curvature, other.curvature)
+            and np.array_equal(self.spring, other.spring)
+        )
 
 
 def linearise(
@@ -170,7 +179,7 @@ def linearise(
     """Decide the status of every contact node at ``unknowns``, and set up its equations.
 
     unknowns, residual (b - A w), stiffness (diagonal of A): (n_contact, dim); c_n and c_t are
-    ``factor`` times the stiffness."""
+    ``factor`` times the stiffness, in 3D that of the stiffer tangent."""
     if contact.lowest is not None:  # a scalar problem: no tangents, and an obstacle on each side
         aim = unknowns + residual / (factor * stiffness)
         return _clamped_equations(contact, unknowns, residual, aim[:, 0])
@@ -242,7 +251,7 @@ def _clamped_equations(
     contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, aim: np.ndarray
 ) -> Linearised:
     """Return the equations of nodes with one unknown. A node that would move beyond an obstacle,
-    to its ``aim`` (n_contact,), m, is active there."""
+    to its ``aim`` (n_contact,), m, is active there. All count as slipping: no tangent holds them."""
     n = len(aim)
     no_tangents = np.empty((n, 0))
     target = contact.clamped(aim)

@@ -292,6 +292,7 @@ class _Newton:
             stalled=None,
         )
         if self.finest and not self.run.history:
+            # no step on this level yet: what was counted until here belongs to the nested start
             self.run.start_work_units = self.run.work_units
         unknowns = np.zeros(self.local.system.n_dofs)
         if self.start is not None:
@@ -306,6 +307,7 @@ class _Newton:
         return *iterate(self.step, self.measure, state, stop, run), stop
 
     def _shortfall(self, state: _NewtonState, rtol: float) -> float:
+        """Let the certificate judge a state; see :meth:`Run.shortfall`."""
         return self.run.shortfall(self._whole(self.local.to_cartesian(state.unknowns)), rtol)
 
     def measure(self, state: _NewtonState) -> Measured:
@@ -445,9 +447,8 @@ class CondensedSteps:
             node = np.arange(n)
             # A_t - mu z A_n + kappa Pi: friction follows the pressure, so that tangential rows take
             # a part of the normal row
-            pull = equations.coupling[:, None] * equations.direction
             for k in range(1, dim):
-                matrix[:, k] -= pull[:, k - 1, None, None] * matrix[:, 0]
+                matrix[:, k] -= equations.pull[:, k - 1, None, None] * matrix[:, 0]
                 matrix[node, k, node, 1:] += equations.curvature[:, k - 1]
             matrix[node, 0, node, 0] += equations.spring  # 1/e of compliant surfaces
             matrix = matrix.reshape(n * dim, n * dim)
@@ -491,7 +492,7 @@ class SparseSteps:
             np.repeat(np.arange(local.system.n_nodes), np.diff(self._matrix.indptr))
         ]  # (n_blocks,): number of the contact node in whose row a block lies, or -1
         self._prepared: Prepared | None = None
-        self._prepared_for: bytes | None = None
+        self._prepared_for: Linearised | None = None
 
     @property
     def stiffness(self) -> np.ndarray:
@@ -534,12 +535,13 @@ class SparseSteps:
         with self.run.phase("solve"):
             prepared = cast("Prepared", self._prepared)
             solution = self._solution(prepared, rhs, self.RTOL)
+        # a direct solution stays above RTOL by rounding alone: there is no better one
         if not solution.converged and not isinstance(self.linear, Direct):
             raise np.linalg.LinAlgError("the Newton step is not solved")
         return solution.unknowns + change
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return A e; this and the next three are those of :class:`Span`, for all dofs."""
+        """Return A x; this and the next three are those of :class:`Span`, for all dofs."""
         self.run.count(1.0, self.local.system.nonzeros)
         return self._matrix @ unknowns
 
@@ -601,8 +603,7 @@ class SparseSteps:
     ) -> None:
         """Set up the linear solver for the matrix of some equations, unless it has the matrix
         already. Without the Coulomb term the matrix is symmetric, as preconditioners need it."""
-        key = equations.key
-        if equations.same_matrix and key == self._prepared_for:
+        if self._prepared_for is not None and equations.has_matrix_of(self._prepared_for):
             return
         with self.run.phase("factorise" if isinstance(self.linear, Direct) else "setup"):
             eliminated = without_fixed(matrix, prescribed, copy=False)
@@ -619,7 +620,7 @@ class SparseSteps:
                 preconditioner=uncoupled,
                 previous=self._prepared,
             )
-        self._prepared_for = key
+        self._prepared_for = equations
 
     def _contact_rows(self, equations: Linearised, coupled: bool = True) -> sparse.bsr_array:
         """Return the matrix with Coulomb coupling (if ``coupled``) and curvature in the rows of contact
@@ -634,7 +635,7 @@ class SparseSteps:
         node = self._contact_of_row[diagonal_blocks]
         # A_t - mu z A_n, and on the diagonal kappa Pi and the springs 1/e
         if coupled and not equations.symmetric:
-            pull = (equations.coupling[:, None] * equations.direction)[self._contact_of_row[blocks]]
+            pull = equations.pull[self._contact_of_row[blocks]]
             data[blocks, 1:] -= pull[:, :, None] * data[blocks, :1]
         data[diagonal_blocks, 1:, 1:] += equations.curvature[node]
         data[diagonal_blocks, 0, 0] += equations.spring[node]

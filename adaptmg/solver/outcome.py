@@ -128,6 +128,8 @@ def _levels_that_pay(grids: Grids) -> tuple[Grids, Solver, str]:
             last_taken = level
         else:
             too_close.append(level)
+    # the seconds that made the levels are not those of the solve
+    grids = replace(grids, timings={})
     for level in reversed(too_close if grids.problem is not None else ()):
         grids = grids.without(level)
     sizes_left_out = ", ".join(str(nodes[level]) for level in too_close)
@@ -315,7 +317,7 @@ def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: st
     line = checked["equilibrium"]
     rounding = checked.MOST_ROUNDING if line.relative <= line.rounding else StopTest.ROUNDING_LIMIT
     most = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, rounding)
-    # twice: solvers sum the same numbers in another order
+    # twice: solvers sum the same numbers in another order; 1: as large as the forces that act
     if outcome.status.ok and not residual <= 2 * most:
         return Status.DIVERGED if not residual < 1 else Status.STALLED
     factor = StopTest.RESIDUAL_FACTOR if stop == "change" else checked.ENERGY_FACTOR

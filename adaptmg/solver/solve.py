@@ -137,6 +137,7 @@ def solve(
         unit=discrete.rows.nonzeros,
         callback=_watched(callback, progress),
         reference=exact,
+        # of the coarse spaces and prolongations that the default has made
         timings={} if grids is posed_grids else dict(grids.timings),
     )
     _LOG.debug(

@@ -73,6 +73,18 @@ def test_steps_are_few_and_fewer_from_coarser_grids(friction, most):
     assert {level for level, _, _ in cold.path} == {3}
 
 
+def test_steps_on_the_whole_matrix_follow_friction_that_depends_on_pressure():
+    """At the same contact status the matrix changes with the friction: with that of an earlier step
+    the steps are twice as many."""
+    law = am.StateLaw(lambda pressure, slip: 0.5 / (1 + pressure / 3e7))
+    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=law), (8, 16))
+    condensed, whole = (
+        am.solve(hierarchy, am.ActiveSet(condensed=option, start="held")).cycles
+        for option in (True, False)
+    )
+    assert whole <= condensed
+
+
 def test_band_round_a_drum_slips_as_the_belt_equation_has_it():
     # pulled at both ends it slips towards each of them, from a point where friction turns round
     friction = 0.2

@@ -355,6 +355,7 @@ def test_a_default_takes_the_levels_that_pay(monkeypatch, divisions, large, meth
     assert every.choice == "" and len(every.levels) == len(divisions)
     assert result.solver_name.startswith(method) and len(result.levels) == levels
     assert bool(result.choice) is (divisions != (2, 4, 8)) and result.choice in str(result)
+    assert "mesh" in grids.timings and "mesh" not in result.timings
     assert result.displacement == pytest.approx(
         every.displacement, abs=1e-6 * np.abs(every.displacement).max()
     )
