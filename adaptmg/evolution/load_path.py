@@ -225,7 +225,8 @@ def _head(
     norms: Sequence[float] = (),
 ) -> dict[str, object]:
     """Return the head of a store of ``steps`` steps, from which :meth:`PathResult.load` reads the path:
-    the factors (n_steps,) of the loads by name, and the energy norms of the results."""
+    the factors (n_steps,) of the loads by name, and the Euclidean norms, m, of the displacements of the
+    results."""
     return {
         "steps": steps,
         "factors": {name: list(map(float, values)) for name, values in factors.items()},

@@ -567,6 +567,7 @@ class Guide:
         if is_coarse and factorisable(self.controls.level.discrete):
             self.level_number = self.finest_number
             return self.balanced_values(values)
+        # with a guide there are no bolts: all unknowns are motions of obstacles
         try:
             return values + self._balancing_change(values, -missed)
         except ValueError:  # singular equations: the finest level goes on from its values

@@ -294,6 +294,7 @@ class _Newton:
         has_forces = tangent.fixed.copy()
         has_forces.reshape(-1, tangent.dim)[tangent.contact.nodes] = True
         forces = np.where(has_forces, -tangent.residual(solution), 0.0)
+        # tangents have no volumes: there are no pressures
         forces += tangent.inclined.reaction(solution, NO_PRESSURES)
 
         def slope(response: Response) -> float:

@@ -278,6 +278,7 @@ def _means(volumes: sparse.csr_array, values: np.ndarray) -> np.ndarray:
 def _stress_data(before: _Side, data: StressData, after: _Side) -> StressData:
     """Return the stress data of the new mesh, with means of the old."""
     posed = after.posed
+    # without loads: initial strains are those of the old mesh
     result = StressData.of(posed.mesh, posed.materials, (), posed.problem.elements)
     if after.plastic_bodies is None and not len(data.initial_strain):
         return result
@@ -303,7 +304,7 @@ def _interpolated_slips(
     the same name."""
     result = np.zeros(len(new))
     for k, name in enumerate(new.names):
-        if name not in old.names:
+        if name not in old.names:  # nothing has slipped on it yet
             continue
         on_boundary = new.boundary == k
         source = old.boundary == old.names.index(name)

@@ -132,6 +132,7 @@ def correction_contact(
     if contact.lowest is not None:
         # U and G do not depend on the obstacle; the opening of the one below counts downwards
         lowest = -transported(values[:, 0] - contact.lowest)[0]
+    # E_t is 0 along tangents that supports hold: there is no slip of the correction
     slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
     # G |U + E_t|: the slip of E counts from -U, with the limit frozen, so that friction is zero
     return NodalContact(

@@ -45,10 +45,12 @@ class LinearLevel:
 
     @cached_property
     def load(self) -> np.ndarray:
+        """Return the vector to which :meth:`restrict` of the next finer level writes."""
         return np.zeros(self.matrix.n_dofs)
 
     @cached_property
     def solution(self) -> np.ndarray:
+        """Return the vector of the solution, which each cycle overwrites."""
         return np.zeros(self.matrix.n_dofs)
 
     @cached_property
@@ -103,7 +105,7 @@ class LinearLevel:
             rest[:] = load
             return 0.0
         lower = matrix.lower_arrays
-        # the first sweep, whose U u is zero
+        # the first sweep, whose U u is zero; gauss_seidel takes first whether it goes backward
         matrix.sweep(gauss_seidel, False, *lower, *matrix.no_half, matrix.inverse, load, u, rest)
         if self.pre == 1:
             # f - A u = -U u, since D u = f - L u
@@ -141,6 +143,7 @@ class LinearLevel:
             matrix.sweep(
                 gauss_seidel, True, *upper, *lower, matrix.inverse, load, u, rest, backward=True
             )
+        # a forward sweep reads L and U, the backward one after it U alone, a single one both
         return 1.5 * (sweeps // 2) + sweeps % 2
 
     def _forward(self, load: np.ndarray) -> None:
@@ -338,7 +341,7 @@ class CoarseFactors:
         self.custom = custom
         scale = level.diagonal_sizes
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
-        self.forget()
+        self.forget()  # sets the shift
         # tells by one solve which dofs the matrix determines, see renew
         self._probe_load = self._scale * np.random.default_rng(0).standard_normal(level.n_dofs)
         # Any: made by renew before it is read

@@ -54,7 +54,9 @@ ONE = np.uint64(1)
 
 @inner_kernel
 def solve_at(k, frames, blocks, gap, reference, limit, friction, compliance, values, c):
-    """Solve contact node k; ``c`` is the Cartesian force without the diagonal block."""
+    """Return the displacement of contact node k, a tuple of Cartesian components, from the Cartesian force
+    ``c`` = f - sum A_kj u_j over the other nodes; its local components go to ``values``. ``blocks`` are
+    the upper triangles of the local diagonal blocks."""
     dim = np.uint64(len(c))
     frame = dim * dim * k
     w = solve(
@@ -153,7 +155,7 @@ def forward(
         force = minus_row(row, FORWARD, l_indptr, l_indices, lower, u, read(remainder, dof, zero))
         if contact_of[i] < 0:
             new = times(inverse, dim * dof, force)
-            write(remainder, dof, zero)
+            write(remainder, dof, zero)  # its equation holds
         else:
             k = np.uint64(contact_of[i])
             new = solve_at(
@@ -167,7 +169,8 @@ def forward(
 
 @kernel
 def energy_product(first, last, order, zero, l_indptr, l_indices, lower, inverse, new, old):
-    """Return (new - old)' A (new - old) from L and the inverse diagonal blocks: half a pass."""
+    """Return (new - old)' A (new - old) = d'D d + 2 d'L d, d = new - old, from L and the inverse diagonal
+    blocks: half a pass."""
     dim = np.uint64(len(zero))
     total = 0.0
     for place in range(first, last):
@@ -348,6 +351,7 @@ def local(
                 force,
             )
             change = subtract(new, before)
+        # a master takes its followers along, unless it can be moved alone
         elif follow_indptr[position + ONE] > follow_indptr[position] and _move_master(
             zero,
             position,
@@ -404,7 +408,7 @@ class Interface:
         place = places_of(self.nodes, n, np.int32)
         self._set_rows(level, lower)
         self.diagonal = level.diagonal.reshape(-1, dim * dim)[self.nodes].reshape(-1)
-        self._follow(coupling, place, fixed)
+        self._set_followers(coupling, place, fixed)
         # fixed components stay where they are, though followers pull at them
         free = ~fixed.reshape(-1, dim)[self.nodes]
         master_blocks = self._master_blocks(place) * (free[:, :, None] & free[:, None, :])
@@ -427,9 +431,10 @@ class Interface:
         blocks[in_transpose] = blocks[in_transpose].transpose(0, 2, 1)
         self.blocks = blocks.reshape(-1)
 
-    def _follow(self, coupling: Coupling, place: np.ndarray, fixed: np.ndarray) -> None:
+    def _set_followers(self, coupling: Coupling, place: np.ndarray, fixed: np.ndarray) -> None:
         """Set the followers of each node, the slave nodes that its motion carries along, and their
-        weights W; slave nodes have none. Where all of them are open, the master is moved alone."""
+        weights W; slave nodes have none. Where all of them are open, the master is moved alone.
+        ``place`` (n_nodes,) is that of a node in ``nodes``, -1 elsewhere; ``fixed`` is a mask (n_dofs,)."""
         by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
         counts = np.diff(by_master.indptr)
         is_slave = np.diff(coupling.weights.indptr)[self.nodes] > 0
@@ -443,7 +448,8 @@ class Interface:
 
     def _master_blocks(self, place: np.ndarray) -> np.ndarray:
         """Return the blocks D'AD (n, dim, dim), D the motion of a node that leaves its followers where
-        they are: 1 at the node, minus the weight at each follower."""
+        they are: 1 at the node, minus the weight at each follower; ``place`` as of
+        :meth:`_set_followers`."""
         n = len(self.nodes)
         dim = self.dim
         # the rows with their diagonal, in the columns of the nodes near contact

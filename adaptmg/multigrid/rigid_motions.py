@@ -180,9 +180,9 @@ class _Descent:
         dim = contact.dim
         self.contact = contact
         self.motions = motions
-        self.factor = 1.0
+        self.factor = 1.0  # by which all g are raised
         self.residual = residual
-        self.values = contact.values.reshape(-1, dim)
+        self.values = contact.values.reshape(-1, dim)  # a view: steps change the contact
         self.reference = contact.reference.reshape(-1, dim - 1)
 
     @cached_property
@@ -312,8 +312,8 @@ def _root(slope: Callable[[float], float], first: float, stop: float) -> float:
         high = min(2.0 * high, stop)
     if slope(high) <= 0.0:
         return high
+    # bisection: 60 halvings leave less than the rounding of the first length
     for _ in range(60):
         middle = 0.5 * (low + high)
-        # bisection
         low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
     return high

@@ -199,7 +199,8 @@ class SplitMatrix:
 def split(
     matrix: sparse.bsr_array | BlockRows, fixed: np.ndarray, symmetric: bool = False
 ) -> SplitMatrix:
-    """Split a block matrix into its halves, with the rows and columns of fixed dofs zeroed."""
+    """Split a block matrix into its halves, with the rows and columns of dofs in the mask ``fixed``
+    (n_dofs,) zeroed. Of a ``symmetric`` one U is not stored."""
     rows = BlockRows.of(matrix)
     dim = rows.dim
     n = rows.n_nodes
@@ -598,10 +599,9 @@ def distribute(
 
 @inner_kernel
 def invert_block(dim, block, scale, result, at):
-    """Compute the inverse of a block (dim * dim,) with diagonal scale, zero in rows and columns of
-    vanishing diagonal entries. ``scale`` (dim,) is what the entry was before truncation;
-    Gauss-Jordan elimination on the rest. Written to ``result`` from position ``at``; ``block`` is
-    destroyed."""
+    """Write the inverse of a block (dim * dim,) to ``result`` from position ``at``: by Gauss-Jordan
+    elimination, zero in rows and columns whose diagonal entry vanishes next to ``scale`` (dim,), the size
+    that it had before truncation. ``block`` is destroyed."""
     for c in range(dim * dim):
         result[at + c] = 0.0
     for a in range(dim):

@@ -132,6 +132,7 @@ class TruncatedContact:
 
     def _set_springs(self) -> None:
         """Set the springs of linear problems from the compliances."""
+        # of the normals: the first entries of the upper triangles
         stiffness = self.blocks[:: self.dim * (self.dim + 1) // 2]
         soft = self.compliance * stiffness > self.RIGID
         # new arrays: copies share the old ones
@@ -194,6 +195,7 @@ class TruncatedContact:
         if self.dim == 1:
             slips = np.empty((n, 0))
             return NodalContact(self.gap, slips, self.limit, self.friction, lowest=self.reference)
+        # here it serves :attr:`NodalContact.driven` alone
         held = None
         if len(self.driven):
             held = mask_of(self.driven, n)

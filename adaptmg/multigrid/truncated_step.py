@@ -19,12 +19,12 @@ it faster.
 CoarseContact: while the contact status is unknown, a linear correction carries a flexible body
 through its obstacle, and the projection cuts it node by node. In the span of a coarse space,
 :math:`u + P e`, the inequalities and the law of all contact nodes are kept: with the residual
-:math:`r = f - A u`, the Galerkin matrix :math:`A_c` and the rows B of P at contact nodes, in their
+:math:`r = f - A u`, the Galerkin matrix :math:`A_c` and the rows R of P at contact nodes, in their
 frames, e solves
 
-.. math:: A_c e + B' q(w + B e) = P' r,
+.. math:: A_c e + R' q(w + R e) = P' r,
 
-q being the contact forces that belong to the displacements w + B e of the contact nodes. Coarse
+q being the contact forces that belong to the displacements w + R e of the contact nodes. Coarse
 unknowns that reach no contact node are eliminated once; the interior point method
 (:mod:`adaptmg.smoother.interior_point`) solves the rest."""
 
@@ -624,11 +624,11 @@ class CoarseContact:
         self.stiffness = np.abs(triangles[:, row == column])
 
     def _spaces(self) -> Iterator[tuple[int, sparse.csr_array, np.ndarray]]:
-        """Yield the levels that may serve, finest first: the number, B, and the coarse nodes that move
+        """Yield the levels that may serve, finest first: the number, R, and the coarse nodes that move
         contact nodes.
 
-        B (n_contact * dim, n_dofs coarse) gives the local values w of the contact nodes for coarse
-        unknowns e, w = B e = F P_1 P_2 ... e, with the frames F of the contact nodes and the
+        R (n_contact * dim, n_dofs coarse) gives the local values of the contact nodes for coarse
+        unknowns e, R e = F P_1 P_2 ... e, with the frames F of the contact nodes and the
         prolongations from level to level, in which fixed dofs do not move."""
         step = self.step
         dim = self.step.contact.dim
@@ -667,7 +667,7 @@ class CoarseContact:
             residual = restricted
         particular, load = self.eliminated.reduce(residual)
         contact = state.contact
-        # A_c e + B'q(w + B e) = P'r
+        # A_c e + R'q(w + R e) = P'r
         solution = interior_point(
             self.unknowns,
             load,
@@ -725,7 +725,8 @@ class _CoarseSpan(DenseSpan):
 
 @kernel
 def _add_nodal(dim, indptr, indices, data, blocks, whole):
-    """Add B' S B to ``whole``, S the blocks of the contact nodes."""
+    """Add R'D R to ``whole`` (m, m), with R (n_contact * dim, m) as CSR arrays and D the ``blocks``
+    (n_contact, dim, dim) of the contact nodes."""
     for k in range(len(blocks)):
         for a in range(dim):
             for p in range(indptr[dim * k + a], indptr[dim * k + a + 1]):

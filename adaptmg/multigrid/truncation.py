@@ -431,7 +431,8 @@ def changed_blocks(
         for a in range(dim):
             for b in range(dim):
                 block[a, b] = blocks[e * size + a * dim + b]
-        # into the frames of the contact nodes, with the Newton rows of slip
+        # into the frames of the contact nodes, with the Newton rows of slip; _turn takes whether by the
+        # inverse frame, then whether the rows
         if row_contact >= 0:
             _turn(dim, frames, row_contact, no, yes, block, spare)
             if newton and codes[row_contact] & CLOSED:

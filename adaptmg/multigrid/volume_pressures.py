@@ -46,6 +46,8 @@ class VolumePressures:
     def __init__(self, problem: DiscreteProblem) -> None:
         """Prepare the steps of a problem, of none if it has no volumes."""
         volumes = problem.volumes
+        # unknowns count from the prescribed values, zero at fixed dofs: what these and initial strains add
+        # to volume strains is ``_prescribed``
         rows = volumes.rows
         data = rows.data * ~problem.fixed[rows.indices]
         rows = sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
@@ -163,7 +165,7 @@ class Augmented:
         self, pressures: np.ndarray, past: list[tuple[np.ndarray, np.ndarray]]
     ) -> np.ndarray:
         r"""Return the pressures with which the next solve begins, by Anderson acceleration: those of the
-        last solves, recombined such that their changes :math:`c_j` by the solves have the least energy
+        last five solves, recombined such that their changes :math:`c_j` by the solves have the least energy
         :math:`|c_0 + \sum_j \alpha_j (c_j - c_0)|^2 A/(\lambda_1 + \mu)`. ``past`` has the pressures and
         the changes of the earlier solves, newest first, and grows by those of this one. Without that
         the mean pressure of an enclosed body would converge with the rate 1 - kappa~ / kappa."""

@@ -88,8 +88,8 @@ class DenseFactors:
     """Factors by Cholesky's method of the rows and columns ``order`` of a matrix; other dofs stay
     at zero."""
 
-    lower: np.ndarray
-    order: np.ndarray
+    lower: np.ndarray  # (k, k)
+    order: np.ndarray  # (k,) int: dofs in the order of elimination
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Return the solution for a right-hand side, 0 at other dofs than ``order``."""

@@ -210,7 +210,8 @@ def _sweep(
     omega,
 ):
     """Sweep over all nodes, changing ``w`` (n_dofs,): ``first, step`` are 0, 1 (forward) or
-    n_nodes - 1, -1 (backward). ``contact_of`` has the number of a contact node, -1 elsewhere."""
+    n_nodes - 1, -1 (backward). ``contact_of`` has the number of a contact node, -1 elsewhere. Other
+    arrays are those of :class:`LocalSystem` and, from ``gap`` on, of :class:`NodalContact`."""
     dim = np.uint64(len(zero))
     for visit in range(len(contact_of)):
         i = np.uint64(first + visit * step)

@@ -94,10 +94,10 @@ def interior_point(
     offset: np.ndarray | float = 0.0,
     most: int = 60,
 ) -> Interior:
-    """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, and return the best
-    iterate of at most ``most`` steps, which end where its slack is at most ``tolerance``.
-    ``load`` is f; ``stiffness`` (n_contact, dim), N/m, scales the start, which needs no admissible
-    displacement."""
+    """Solve S x + R'q = f, w = offset + R x, with the contact conditions on w, and return the best
+    iterate of at most ``most`` steps, which end where its slack is at most ``tolerance``. S and R are
+    those of ``unknowns`` (:class:`Span`); ``load`` (m,) is f, ``offset`` (n_contact, dim) in m.
+    ``stiffness`` (n_contact, dim), N/m, scales the start, which needs no admissible displacement."""
     if contact.lowest is not None:
         return _two_obstacles(unknowns, load, contact, stiffness, tolerance, offset, most)
     # the first springs hold the start; softer ones replace it where its first steps stay short
@@ -185,7 +185,7 @@ class _Method:
     ``state`` (n_contact, 8) and its ``change`` have the columns of the module's docstring. The
     eliminated unknowns add ``blocks`` (n_contact, 3, 3) to S; ``terms`` (n_contact, 4) are the
     right-hand sides of their equations. ``n_products`` is the number of the products that tend to 0,
-    whose sum is ``total``; ``residual`` (m,) is f - S e - B'q. :meth:`iterate` sets both for the next
+    whose sum is ``total``; ``residual`` (m,) is f - S x - R'q. :meth:`iterate` sets both for the next
     step. Energies below ``least_energy`` and lengths below ``least_length`` count as these."""
 
     def __init__(
@@ -203,6 +203,7 @@ class _Method:
         self.unbalanced = 1.0
         self.load = load
         self.span = unknowns
+        # without an obstacle there is no pressure, and so no friction by it
         friction = np.where(np.isfinite(contact.gap), contact.friction, 0.0)
         compliance = np.zeros(n) if contact.compliance is None else contact.compliance
         self.layer = contact.layer
@@ -262,7 +263,7 @@ class _Method:
         layer is linearised at its pressures."""
         product = self.span.product(self.unknowns)
         forces = self.state[:, _FORCES[: self.dim]]
-        self.residual = self.load - product - self.span.restricted(forces)  # f - S e - B'q
+        self.residual = self.load - product - self.span.restricted(forces)  # f - S x - R'q
         if self.layer is not None:
             gap, compliance = self.layer.tangent(self.state[:, _PRESSURE])
             self.conditions = gap, *self.conditions[1:4], compliance
@@ -335,28 +336,29 @@ class _Method:
 
 
 class Span(Protocol):
-    """The unknowns e (m,) of a matrix S, and the displacements B e of the contact nodes."""
+    """The unknowns x (m,) of a matrix S (m, m), and the displacements R x that they give the contact
+    nodes, in their frames."""
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return S e."""
+        """Return S x."""
         ...
 
     def values(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return B e (n_contact, dim)."""
+        """Return R x (n_contact, dim)."""
         ...
 
     def restricted(self, forces: np.ndarray) -> np.ndarray:
-        """Return B'q of forces (n_contact, dim)."""
+        """Return R'q (m,) of forces q (n_contact, dim)."""
         ...
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        """Return the solution of equations with S + B'DB as a function of right-hand sides (m,), D
+        """Return the solution of equations with S + R'DR as a function of right-hand sides (m,), D
         the blocks (n_contact, dim, dim) of the nodes; None where the matrix is singular."""
 
 
 @dataclass(eq=False)
 class DenseSpan:
-    """Unknowns of a dense matrix S (m, m), with B as ``rows`` (n_contact * dim, m); see
+    """Unknowns of a dense matrix S (m, m), with R as ``rows`` (n_contact * dim, m); see
     :class:`Span`. Subclasses define the factors."""
 
     matrix: np.ndarray
@@ -408,6 +410,7 @@ class ContactDofs:
 def dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
     """Return the solution of equations with a matrix, which is overwritten, as a function of
     right-hand sides; None where the matrix is singular."""
+    # LAPACK stores by columns: the transpose, in the memory of the matrix, is overwritten without a copy
     lower, pivots, info = linalg.lapack.dgetrf(matrix.T, overwrite_a=True)
     return None if info else lambda rhs: linalg.lapack.dgetrs(lower, pivots, rhs, trans=1)[0]
 
@@ -446,7 +449,8 @@ def _solve_cone(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2):
 @inner_kernel
 def _longest_step(b, q_1, q_2, db, dq_1, dq_2):
     """Return the longest step t with B + t dB >= |q + t dq|: at most where B + t dB = 0, and the
-    least positive root of (B + t dB)^2 - |q + t dq|^2 = a t^2 + 2 h t + c."""
+    least positive root of (B + t dB)^2 - |q + t dq|^2 = a t^2 + 2 h t + c. For h < 0 the root is written
+    as c over the other one times a, which does not cancel."""
     a = db * db - dq_1 * dq_1 - dq_2 * dq_2
     h = b * db - q_1 * dq_1 - q_2 * dq_2
     c = max(b * b - q_1 * q_1 - q_2 * q_2, 0.0)

@@ -135,7 +135,7 @@ def solve_2d(
         return w_n, reference + slip
     # closed: w_n is eliminated; a compliant surface makes the pressure smaller and the tangent softer
     p_stick = c_n - m_nn * gap
-    share = 1.0 / (1.0 + compliance * m_nn)
+    share = 1.0 / (1.0 + compliance * m_nn)  # lambda of the module; m_nt becomes lambda a, m_tt B
     c_t -= m_nt * (gap + compliance * share * p_stick)
     m_tt -= m_nt * compliance * share * m_nt
     p_stick *= share
@@ -259,8 +259,8 @@ def _solve_held(
     friction: float,
     compliance: float,
 ) -> tuple[float, float]:
-    """Solve as :func:`solve_2d` for a node that slips by ``held_slip`` along its other tangent,
-    which a support holds."""
+    """Solve as :func:`solve_2d` for a node that slips by ``held_slip``, of either sign, along its other
+    tangent, which a support holds."""
     c_n -= m_nt * reference
     c_t -= m_tt * reference
     # open: w_n is eliminated with p = 0
@@ -309,7 +309,7 @@ def _slip_held(
             low = slip
         else:
             high = slip
-        # minus the derivative of the excess
+        # minus the derivative of the excess; where it is not positive, ``low`` leads to a bisection
         slope = b + bound * (held_slip / slip_size) ** 2 / slip_size
         if p > 0.0:
             slope -= friction * a * slip / slip_size
@@ -384,6 +384,7 @@ def _slip_in_eigenbasis(
     frictionless_1 = c_1 / b_1
     frictionless_2 = c_2 / b_2
     pressure = p_stick - a_1 * frictionless_1 - a_2 * frictionless_2
+    # the slip without friction takes all pressure away: no friction is left
     if limit + friction * max(pressure, 0.0) == 0.0:
         return frictionless_1, frictionless_2
     theta = 0.0
@@ -430,7 +431,8 @@ def _slip_in_eigenbasis(
 @inner_kernel
 def _inside(low: float, high: float, stiffness: float) -> float:
     """Return a value of theta between two bounds whose orders of magnitude may differ; ``high`` may
-    be +inf, ``low`` zero. The largest eigenvalue of B, ``stiffness``, sets the scale."""
+    be +inf, ``low`` zero. The largest eigenvalue of B, ``stiffness``, sets the scale. Factors of 8, then
+    geometric means, find the order of magnitude, then bisections the value."""
     if high == math.inf:
         return max(8.0 * low, 1.0 / stiffness)
     if low == 0.0:

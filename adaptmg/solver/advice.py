@@ -307,6 +307,7 @@ def advise_on_results(
 def advise_on_motion(posed: Posed, results: Sequence[Result]) -> None:
     """Warn of large strains, rotations and slips in results on one mesh."""
     body_volumes = _body_volumes(posed)
+    # where strains are large, their warning is enough
     strained = [_advise_on_strains(posed, result, body_volumes) for result in results]
     _advise_on_rotations(
         posed.mesh,
@@ -359,6 +360,7 @@ def _advise_on_strains(posed: Posed, result: Result, body_volumes: np.ndarray) -
     if _energy_excludes_strains(posed, result, body_volumes):
         return False
     volumes = element_measures(mesh, problem.axisymmetric)
+    # the largest principal strain, stretch or compression
     strain_sizes = np.linalg.norm(element_strain(mesh, result.displacement), ord=2, axis=(1, 2))
     if problem.axisymmetric:
         strain_sizes = np.maximum(strain_sizes, np.abs(hoop_strain(mesh, result.displacement)))

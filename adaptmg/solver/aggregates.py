@@ -68,9 +68,12 @@ _ENOUGH = 1e-4
 
 @kernel
 def _grow(kinds, indptr, indices, group, sizes, most_deep, label, queue, depth, members, group_of):
-    """Number the aggregates in ``label`` by breadth-first search inside groups, and write the number of
-    their nodes and their groups; return their number. ``queue`` and ``depth`` (n_nodes,) are
-    overwritten."""
+    """Number the aggregates in ``label`` (n_nodes,), -1 before, by breadth-first search among nodes of
+    the same ``group`` (n_nodes,); groups of -1 have no aggregate. Each begins at the first node without
+    one, and has at most ``sizes[group]`` nodes, at most ``most_deep`` edges away. Write the number of
+    its nodes to ``members`` and its group to ``group_of``; return the number of aggregates. ``queue``
+    and ``depth`` (n_nodes,) are overwritten; ``kinds, indptr, indices`` are those of
+    :class:`~adaptmg.discrete.block_rows.BlockRows`."""
     n = len(group)
     count = 0
     for seed in range(n):
@@ -201,7 +204,7 @@ class Aggregates:
         label = _joined(rows, label, members[:count], group_of[:count], sizes)
         self.count = int(label.max(initial=-1)) + 1
         points = np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates
-        self.offsets = np.empty((n, dim))
+        self.offsets = np.empty((n, dim))  # from the centre, over the extent; see _place
         flat_points = read_only(points[:, :dim].reshape(-1))
         _place(ZERO[dim], flat_points, label, self.count, self.offsets.reshape(-1))
         place, self.width = _narrow_order(rows, label, self.count)
@@ -510,7 +513,7 @@ class _Smoothed(DenseSpan):
         self._solve = (
             splu(sparse.csc_array(coarse[self.far][:, self.far])).solve
             if len(self.far)
-            else np.asarray
+            else np.asarray  # returns the empty right-hand side
         )
         self._coupling = sparse.csc_array(coarse[self.far][:, self.near])
         # the Schur complement on the unknowns that move contact nodes
@@ -519,17 +522,18 @@ class _Smoothed(DenseSpan):
         )
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        """Return the solution of equations with S + B'DB; see
+        """Return the solution of equations with S + R'DR; see
         :class:`~adaptmg.smoother.interior_point.Span`."""
         added = self.rows.T @ (block_diagonal(blocks) @ self.rows)
         return dense_factors(self.matrix + added.toarray())
 
     def condense(self, load: np.ndarray) -> np.ndarray:
-        """Return the load of the condensed equations for forces (n_coarse,)."""
+        """Return the load (m,) of the condensed equations for forces (n_coarse,)."""
         return load[self.near] - self._coupling.T @ self._solve(load[self.far])
 
     def recover(self, load: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Return the displacement (n_dofs,) of condensed unknowns."""
+        """Return the displacement (n_dofs,) of condensed unknowns ``near`` (m,) under forces
+        ``load`` (n_coarse,)."""
         values = np.zeros(self.span.shape[1])
         values[self.near] = near
         values[self.far] = self._solve(load[self.far] - self._coupling @ near)

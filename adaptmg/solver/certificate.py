@@ -823,8 +823,9 @@ class Evidence:
     def _nearest_friction(
         self, slip: np.ndarray, friction: np.ndarray, limit: np.ndarray, free: np.ndarray
     ) -> _NearestFriction:
-        """Return the lawful friction nearest to that of contact nodes, all arrays (n_contact, dim)
-        but ``limit`` (n_contact,), N. A node loses its slip if moving it back costs less, in the
+        """Return the lawful friction nearest to that of contact nodes: ``slip``, m, and ``friction``, N,
+        (n_contact, dim), the bound ``limit`` (n_contact,), N, and projections ``free`` (n_contact, dim,
+        dim) onto what supports leave free. A node loses its slip if moving it back costs less, in the
         measure of its stiffness, than changing its friction to the bound, against the slip."""
         d = self.stiffness
         size = np.linalg.norm(slip, axis=1)

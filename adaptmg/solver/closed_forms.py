@@ -100,10 +100,13 @@ def _condition(
 def _stiffness(
     problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem, points: np.ndarray
 ) -> tuple[Condition, ...]:
-    """Compare the forces of an affine field with those of its stresses and of springs; ``points``
-    count from the middle of the mesh."""
+    """Return the line that compares the forces of an affine field with those of its stresses and of
+    springs, nothing for problems that the closed forms do not cover. ``points`` (n_nodes, dim), m, count
+    from the middle of the mesh."""
     materials = body_materials(mesh, problem.material)
     springs = [support for support in problem.supports if isinstance(support, Spring)]
+    # next to volumes and inclined supports the stored matrix lacks a part of the stiffness; in
+    # axisymmetry an affine field has other stresses
     covered = (
         all(elastic.anisotropy is None and np.isfinite(elastic.lame) for elastic in materials)
         and not any(isinstance(support, PointSpring) for support in problem.supports)
@@ -230,8 +233,9 @@ def _loads(
     body: np.ndarray,
     points: np.ndarray,
 ) -> tuple[Condition, ...]:
-    """Compare the loads on each body (n_nodes,) with what is posed; initial strains and bolts have
-    no resultants. ``points`` count from the middle of the mesh."""
+    """Return the line that compares the loads on each body with what is posed, nothing without loads;
+    initial strains and bolts have no resultants. ``body`` (n_nodes,) is the number of the body of each
+    node; ``points`` (n_nodes, dim), m, count from the middle of the mesh."""
     materials = body_materials(mesh, problem.material)
     loads = [
         _acting(load, mesh, materials)

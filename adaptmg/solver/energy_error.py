@@ -347,7 +347,7 @@ class _Equations:
             "nij,nj->ni", status.stiffening, z_at_contact
         )
         values = z
-        image = forces
+        image = forces  # completed in place
         gradient = None
         pressure_rows = None
         if len(self.volumes):

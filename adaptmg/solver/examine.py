@@ -635,7 +635,8 @@ class Patch:
 
     def share_for(self, nodes: float, dim: int) -> float:
         """Return the factor by which edges must change for about this number of nodes to touch there."""
-        # the patch ends somewhere beyond its last nodes; that of a single facet may be a point
+        # the patch ends somewhere beyond its last nodes; that of a node in the plane, or of a single
+        # facet in space, may be a point
         cells = max(len(self.nodes) - (1 if dim == 2 else 3), 0.5)
         return (cells / nodes) ** (1 / (dim - 1))  # cells grow like size^-(dim - 1)
 

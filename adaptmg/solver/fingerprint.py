@@ -184,7 +184,7 @@ def value_parts(
     compared."""
     found = _Parts(depends or {}, vars(sys.modules["__main__"]))
     for name, value in values.items():
-        found.value(name, value)
+        found.add_value(name, value)
     return {name: part for name, part in found.complete().items() if name != "adaptmg"}
 
 
@@ -218,16 +218,16 @@ class _Parts:
         while self._waiting:
             name, thing = self._waiting.pop()
             if isinstance(thing, FunctionType):
-                self._function(name, thing)
+                self._add_function(name, thing)
                 continue
             if isinstance(thing, type):
                 self._parts[f"class {name}"] = self._hash((thing.__bases__, type(thing)))
             for key, value in sorted(vars(thing).items()):
                 if key not in _BOOKKEEPING:
-                    self.value(f"{name}.{key}", value)
+                    self.add_value(f"{name}.{key}", value)
         return self._parts
 
-    def value(self, where: str, value: object) -> None:
+    def add_value(self, where: str, value: object) -> None:
         """Add the part of a value that is read at ``where``, unless ``depends`` names it. Functions,
         classes and modules have parts under their own names."""
         # ``depends`` may contain its name, without its module before a dot and the words after a
@@ -269,6 +269,7 @@ class _Parts:
         return f"own {name}"
 
     def _home(self, module: str) -> str:
+        """Return the name of a module, of the script that of its file."""
         return self._main if module in _MAIN else module
 
     def is_own(self, module: str, thing: object = None) -> bool:
@@ -282,23 +283,21 @@ class _Parts:
     def _hash(self, value: object, files: bool = False) -> str:
         return hashlib.sha256(_pickled(value, self, files)).hexdigest()[:16]
 
-    def _function(self, name: str, function: FunctionType) -> None:
+    def _add_function(self, name: str, function: FunctionType) -> None:
         """Add the parts of a function: its instructions, its defaults, and all that it reads."""
         code = function.__code__
         self._parts[f"function {name}"] = self._hash(code)
         for key in ("__defaults__", "__kwdefaults__", *vars(function)):
             if (value := getattr(function, key)) is not None:
-                self.value(f"{name}.{key}", value)
+                self.add_value(f"{name}.{key}", value)
         chains, imports = _reads(code)
-        self._read_chains(name, function, chains)
+        self._add_chains(name, function, chains)
         package = function.__globals__.get("__package__") or ""
         for level, module, names in imports:
             with contextlib.suppress(ImportError):  # the run will raise it
-                self._read_import(importlib.util.resolve_name("." * level + module, package), names)
+                self._add_import(importlib.util.resolve_name("." * level + module, package), names)
 
-    def _read_chains(
-        self, name: str, function: FunctionType, chains: list[tuple[str, ...]]
-    ) -> None:
+    def _add_chains(self, name: str, function: FunctionType, chains: list[tuple[str, ...]]) -> None:
         """Add the globals and the variables of enclosing functions that a function reads, each first in
         a chain with the attributes that are taken from it; TypeError if a chain holds a hidden name. In
         chains of attributes alone the first name is empty."""
@@ -320,11 +319,11 @@ class _Parts:
                     f"what stands for it: depends={{{min(hidden)!r}: ...}}"
                 )
             if first in enclosing:
-                self._read(f"{first} around {name}", enclosing[first], attributes)
+                self._add_variable(f"{first} around {name}", enclosing[first], attributes)
             elif first in namespace:
-                self._read(f"{home}.{first}", namespace[first], attributes)
+                self._add_variable(f"{home}.{first}", namespace[first], attributes)
 
-    def _read_import(self, module: str, names: tuple[str, ...] | None) -> None:
+    def _add_import(self, module: str, names: tuple[str, ...] | None) -> None:
         """Add what a function imports while it runs, if the module is the user's: the ``names`` from it,
         or, without names, the module and the packages around it, which ``import a.b.c`` loads, too."""
         if not self.is_own(module):
@@ -333,12 +332,12 @@ class _Parts:
         for item in names or ():
             if not hasattr(imported, item):
                 importlib.import_module(f"{module}.{item}")
-            self._read(self._home(module), imported, [item])
+            self._add_variable(self._home(module), imported, [item])
         if not names:
             for part in itertools.accumulate(module.split("."), "{}.{}".format):
-                self.value(self._home(part), sys.modules[part])
+                self.add_value(self._home(part), sys.modules[part])
 
-    def _read(self, where: str, value: object, attributes: Sequence[str]) -> None:
+    def _add_variable(self, where: str, value: object, attributes: Sequence[str]) -> None:
         """Add a variable, or of a user's module the attribute that is taken from it."""
         for attribute in attributes:
             if (
@@ -350,7 +349,7 @@ class _Parts:
             self._parts[f"value of {where}"] = self._hash(value.__name__)
             where = f"{self._home(value.__name__)}.{attribute}"
             value = vars(value)[attribute]
-        self.value(where, value)
+        self.add_value(where, value)
 
 
 class _Pickler(pickle.Pickler):
@@ -493,6 +492,7 @@ def _plain_code(code: CodeType) -> tuple[object, ...]:
     """Return the parts of a code object that count: not the file, lines and docstrings. (No instruction
     of a function reads its docstring, and a class stores it under a name that is left out.)"""
     steps = [(step.opname, step.argval) for step in dis.get_instructions(code)]
+    # a class stores its docstring, its module and so on by two instructions, of which neither counts
     counted = [
         step
         for step, after in zip(steps, [*steps[1:], ("", None)], strict=True)

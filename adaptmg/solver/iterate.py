@@ -190,11 +190,11 @@ class StopTest:
         self._cycle_asked: int | None = None  # the last cycle at which the certificate was asked
         self._at_rounding = False
         self.cycles = 0
-        self.changes: list[float] = []
-        self.size = 0.0
-        self.residual = np.inf
-        self.error_estimate = np.inf
-        self.met = False
+        self.changes: list[float] = []  # A-norms
+        self.size = 0.0  # A-norm of the displacement
+        self.residual = np.inf  # relative to the forces
+        self.error_estimate = np.inf  # relative
+        self.met = False  # whether estimate and residual meet the tolerance
         self._last_residual = np.nan  # N
         self._iterates_at_rounding = 0
 
@@ -252,18 +252,19 @@ class StopTest:
 
     @property
     def residual_met(self) -> bool:
+        """Return whether the last residual is small enough, or cannot fall any more."""
         return self.residual <= self.RESIDUAL_FACTOR * self.rtol or self._iterates_at_rounding > 0
 
     def refused(self) -> bool:
         """Ask the certificate; return whether it contradicts the tolerance. Later estimates are
         multiplied by the factor by which it finds this one too small."""
-        ratio = self.shortfall()
+        factor = self.shortfall()
         self._cycle_asked = self.cycles
-        if ratio is None:
+        if factor is None:
             return False
-        if ratio > 0.0 and self.error_estimate > 0.0:
-            self._caution *= max(ratio * self.rtol / self.error_estimate, 1.0)
-        return ratio > 0.0
+        if factor > 0.0 and self.error_estimate > 0.0:
+            self._caution *= max(factor * self.rtol / self.error_estimate, 1.0)
+        return factor > 0.0
 
     def shortfall(self) -> float | None:
         """Return the factor by which the certificate finds the error of the last iterate above rtol, 0

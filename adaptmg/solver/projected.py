@@ -226,6 +226,7 @@ class SingleGrid:
             full = local_system(hierarchy.finest.discrete)
         problem = full
         sizes = None
+        # between the unknowns of all nodes and those of the sweeps: the same unless condensed
         restrict = np.asarray
         recover = np.asarray
         if self.condensed:

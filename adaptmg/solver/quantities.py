@@ -350,6 +350,7 @@ class Quantities:
         cells, nodal = fitted(mesh, values)
         if location is not None:
             return np.einsum("nk,nkc->nc", location.weights, nodal[cells[location.element]])
+        # the points of further bodies at shared nodes come behind all nodes
         return nodal[: mesh.n_nodes] if at == "nodes" else nodal[cells].mean(axis=1)
 
     def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:

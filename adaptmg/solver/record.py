@@ -82,7 +82,8 @@ class Run:
     first_cycle: int = 0  # cycles done by another method before the one that records now
     fallback: str = ""  # the method that took over, and from which cycle; empty if none did
     examiner: Callable[[np.ndarray, float], Examined] | None = None
-    _nested_seconds: float = 0.0
+    _nested_seconds: float = 0.0  # of the phases inside the present one
+    # seconds of compiling that ``timings`` has already, or that passed before
     _compiled: float = field(default_factory=compiling_seconds)
 
     def count(self, passes: float, nonzeros: int) -> None:
@@ -150,6 +151,7 @@ class Run:
             examined = self.examiner(solution.reshape(-1), rtol)
         checked = cast("Certificate", examined.checked)  # the examiner of a run makes certificates
         if checked.energy_error > max(rtol, checked.energy_rounding):
+            # at most the error of u = 0: the factor multiplies later estimates, which must stay finite
             return min(checked.energy_error, 1.0) / rtol
         return 1.0 if checked.contradictions(rtol) else 0.0
 

@@ -326,6 +326,8 @@ def advise_on_free_motions(problem: DiscreteProblem, contact: ContactResult) -> 
         moved = motions.reshape(len(nodes), problem.dim, k)[place_in_body[touches]]
         local_motions = np.einsum("nij,njk->nik", contact.frames[touches], moved)
         sticks = contact.state[touches] == STICK
+        # none moves along a normal, none that sticks along a tangent; without nodes all are free, of
+        # which a row of zeros keeps the number
         free = _null_combinations(
             np.concatenate(
                 [np.zeros((1, k)), local_motions[:, 0], local_motions[sticks, 1:].reshape(-1, k)]
@@ -395,6 +397,7 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     problem = body.problem
     dim = problem.dim
     contact = problem.contact
+    # which contact nodes are on the body, and their places among its nodes, which are ascending
     place_in_body = np.searchsorted(body.nodes, contact.nodes)
     on_body = place_in_body < len(body.nodes)
     on_body[on_body] = body.nodes[place_in_body[on_body]] == contact.nodes[on_body]
@@ -449,7 +452,7 @@ def _motion_to_blame(
 
 def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the corners (n, dim - 1) of the polygon about the unit disc, and the directions and the
-    half length of the segments whose sum it is."""
+    half length of the segments whose sum it is. Scalar problems have no tangents: no columns."""
     if dim < 3:
         return np.array([[1.0], [-1.0]])[:, : dim - 1], np.array([[1.0]])[:, : dim - 1], 1.0
     angles = np.pi * np.arange(2 * _SEGMENTS) / _SEGMENTS
