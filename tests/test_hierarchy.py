@@ -457,6 +457,19 @@ def test_other_supports_of_slave_nodes_change_prolongations():
         assert (new.finest.prolongation is old.finest.prolongation) is (other is blocks)
 
 
+def test_another_law_changes_which_held_slave_nodes_carry_contact():
+    # a support holds a slave node along its surface, and not the master
+    supports = (am.Support("lower.bottom", x=0.0, y=0.0), am.Support("upper.left", x=0.0))
+    smooth, rough = (
+        replace(am.cases.two_block_patch(law=law), supports=supports)
+        for law in (am.Frictionless(), am.Coulomb(0.3))
+    )
+    for first, other in ((smooth, rough), (rough, smooth)):
+        old = am.Hierarchy.uniform(first, [{"upper": n, "lower": n + 1} for n in (2, 4)])
+        meshes = [level.mesh for level in old.levels]
+        assert same(old.with_problem(other), am.Hierarchy.from_meshes(other, meshes))
+
+
 @pytest.mark.parametrize("where", ["load", "gap"])
 def test_another_problem_evaluates_functions_again(where):
     scale = [1.0]

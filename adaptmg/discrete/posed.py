@@ -108,9 +108,10 @@ class Posed(Boundaries):
         """Return a copy on the same mesh for a problem that differs in its law or loads."""
         problem.check_boundaries(self.mesh.boundaries)
         problem.check_bodies(self.mesh.bodies)
-        # a copy, which keeps what was computed: the class is frozen, and replace() would drop that
-        result = copy.copy(self)
-        object.__setattr__(result, "problem", problem)
+        result = Posed(problem, self.mesh)
+        # which slave nodes carry conditions depends on where friction acts; all else that was computed stays
+        of_law = ("problem", "rows", "contact")
+        vars(result).update({k: value for k, value in vars(self).items() if k not in of_law})
         return result
 
     @cached_property
