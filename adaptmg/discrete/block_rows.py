@@ -27,7 +27,9 @@ class BlockRows:
     kinds: (
         np.ndarray
     )  # (n_nodes,) uint8: the row of the table that each row repeats; (0,): row i is row i
-    indptr: np.ndarray  # int: of the table
+    indptr: (
+        np.ndarray
+    )  # (n_rows + 1,) int: row r of the table has the blocks indptr[r], ..., indptr[r + 1] - 1
     indices: np.ndarray  # int: block columns in the table; with ``kinds`` they count from the row
     data: np.ndarray  # blocks of the table, row by row, flat
 
@@ -43,6 +45,7 @@ class BlockRows:
             indices=matrix.indices,
             data=matrix.data.reshape(-1),
         )
+        # in place of what the property of this name would make
         result.__dict__["matrix"] = matrix
         return result
 
@@ -111,6 +114,7 @@ class BlockRows:
         places of their rows among the nodes."""
         table_rows = self.kinds[nodes] if len(self.kinds) else nodes
         starts = self.indptr[table_rows]
+        # kinds have 8 bits: the sum has the size of places
         counts = self.indptr[table_rows + np.intp(1)] - starts
         rows = np.repeat(np.arange(len(nodes)), counts)
         # from each start on, as many as the row has
@@ -144,7 +148,9 @@ class BlockRows:
 
 
 def frozen_matrix(data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> sparse.bsr_array:
-    """Return the matrix of sorted blocks (n, dim, dim), whose pattern is frozen."""
+    """Return the matrix of blocks (n, dim, dim) in sorted block columns ``indices`` (n,), whose pattern
+    is frozen."""
+    # the type of the columns: of two types scipy would make copies, which are not frozen
     if len(indices) < 2**31:
         indptr = indptr.astype(np.int32)
     for array in (indices, indptr):
@@ -178,7 +184,8 @@ def table_column(origin, indices, p):
 
 @kernel
 def _repeat(first, last, zero, kinds, starts, columns, blocks, indptr, indices, data):
-    """Write the rows of a matrix."""
+    """Write the rows ``first``, ..., ``last`` - 1 of a matrix (indptr, indices, data) that repeat those of
+    a table (starts, columns, blocks): row i its row ``kinds[i]``. ``zero`` is ZERO[dim]."""
     one = np.uint64(1)
     size = np.uint64(len(zero) ** 2)
     for i in range(np.uint64(first), np.uint64(last)):
@@ -193,7 +200,8 @@ def _repeat(first, last, zero, kinds, starts, columns, blocks, indptr, indices, 
 
 @kernel
 def _multiply(first, last, zero, kinds, indptr, indices, data, v, result):
-    """Write the rows of nodes first, ..., last - 1 of A v to ``result``; ``zero`` is ZERO[dim]."""
+    """Write the rows of nodes first, ..., last - 1 of A v to ``result``, for the matrix A with the table
+    (kinds, indptr, indices, data) of :class:`BlockRows`; ``zero`` is ZERO[dim]."""
     dim = np.uint64(len(zero))
     one = np.uint64(1)
     for i in range(np.uint64(first), np.uint64(last)):

@@ -164,7 +164,8 @@ class ContactNodes:
         **parts: Any,
     ) -> ContactNodes:
         """Return the nodes of a problem of bodies, all arrays of which the package has assembled: they
-        are not copied, and only what a user's surfaces may make too large or too small is checked."""
+        are not copied, and only what a user's surfaces may make too large or too small is checked.
+        ``parts`` are the other fields, but those that only scalar problems and load steps have."""
         n = len(gaps)
         _check_weights(weights)
         result = cls.__new__(cls)
@@ -214,12 +215,13 @@ class ContactNodes:
 
     def facing(self, displacement: np.ndarray) -> ContactNodes:
         """Return the nodes of a scalar problem with the normals and gaps of the obstacles that are
-        nearest at displacements (n_contact, dim), and without the opposite ones."""
+        nearest at displacements (n_contact, dim), and without the opposite ones; those of bodies, which
+        have one obstacle each, unchanged."""
         if self.dim > 1:
             return self
         u_n = np.einsum("nd,nd->n", displacement, self.normals)
-        opposite_is_nearer = self.gaps - u_n > self.opposite_gaps + u_n
         # of two obstacles g - u_n and g' + u_n are the distances
+        opposite_is_nearer = self.gaps - u_n > self.opposite_gaps + u_n
         return self.posing(
             normals=np.where(opposite_is_nearer[:, None], -self.normals, self.normals),
             gaps=np.where(opposite_is_nearer, self.opposite_gaps, self.gaps),
@@ -246,7 +248,8 @@ def _check_weights(weights: np.ndarray) -> None:
 def _checked_shares(
     taken_over: sparse.sparray | sparse.spmatrix | None, n: int
 ) -> sparse.csr_array:
-    """Return the shares (n, n_nodes) that n contact nodes take over, >= 0; (n, 0) for None."""
+    """Return the shares (n, n_nodes) that n contact nodes take over, >= 0; for None (n, 0), as the
+    number of nodes is not known here."""
     if taken_over is None:
         return checks.no_entries((n, 0))
     shares = sparse.csr_array(checks.sparse_matrix("taken_over", taken_over, (n, None)))
@@ -274,7 +277,8 @@ def _at_least(least: float, name: str, value: ArrayLike | None, n: int) -> np.nd
 
 def _unit_normals(value: ArrayLike, n: int) -> np.ndarray:
     """Return the normals (n, dim) of contact nodes, read-only, of length 1 to rounding."""
-    normals = bounded("normals", value, (n, None), 2.0)
+    # their length must be 1: the bound only keeps it from overflowing
+    normals = bounded("normals", value, (n, None), largest=2.0)
     if normals.shape[1] not in (1, 2, 3):
         raise ValueError(
             f"normals must have shape ({n}, 2) or ({n}, 3), of scalar problems ({n}, 1), got "
@@ -387,6 +391,7 @@ class Bounds(checks.Checked):
         weights = self.weights
         if weights is not None:
             weights = bounded("bounds.weights", weights, (len(gaps),))[nodes]
+        # limits need not include 0, where gaps would be >= 0
         limited = partial(ContactNodes, nodes=nodes, weights=weights, allow_interference=True)
         dim = gaps.shape[1]
         if dim == 1:  # a scalar unknown may have both limits
@@ -400,7 +405,8 @@ class Bounds(checks.Checked):
                 f"bounds: node {np.argmax(n_limits > 1)} has several finite limits, a node of a body "
                 "can have one: give the nodes of each face of the body the limit that it meets"
             )
-        # the normal of a node is the axis of its limited component, or minus this axis
+        # the normal of a node is the axis of its limited component, or minus this axis; with one limit a
+        # node the entries of the mask are in the order of the nodes
         _, component, side = np.nonzero(is_limited)
         normals = np.eye(dim)[component] * np.where(side == 1, 1.0, -1.0)[:, None]
         return limited(normals=normals, gaps=gaps[is_limited])
@@ -411,11 +417,12 @@ class Bounds(checks.Checked):
         dofs (n_dofs,)."""
         lower = -np.inf if self.lower is None else self.lower
         upper = np.inf if self.upper is None else self.upper
+        # two numbers have no shape, and limit every dof
         shape = max(np.shape(lower), np.shape(upper), key=len) or fixed.shape
         if math.prod(shape) != len(fixed):
             raise ValueError(f"bounds must have {len(fixed)} entries, one a dof, got shape {shape}")
-        against_axes = -_open_limits("bounds.lower", lower, shape, np.inf)
-        along_axes = _open_limits("bounds.upper", upper, shape, -np.inf)
+        against_axes = -_open_limits("bounds.lower", lower, shape, closing=np.inf)
+        along_axes = _open_limits("bounds.upper", upper, shape, closing=-np.inf)
         gaps = np.where(fixed[:, None], np.inf, np.stack([against_axes, along_axes], axis=1))
         dim = shape[1] if len(shape) == 2 else 1
         return gaps.reshape(-1, dim, 2)
@@ -489,7 +496,7 @@ def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
 
 
 def checked_bodies(bodies: Mapping[str, ArrayLike], n_nodes: int) -> dict[str, np.ndarray]:
-    """Return nodes by body, checked."""
+    """Return the node numbers (n,) of each body by name, checked."""
     result = {}
     for body, nodes in checks.mapping("bodies", bodies, "names to arrays of nodes").items():
         name = f"bodies[{checks.boundary_name('the names in bodies', body)!r}]"
@@ -510,6 +517,7 @@ def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
     diagonal = matrix.diagonal()
     if not scale > 0:
         raise ValueError("matrix is zero")
+    # once of all entries, and once of the diagonal, by which the check of symmetry divides
     check_size("matrix", scale)
     if not (diagonal > 0).all():
         i = int(np.argmin(diagonal))
@@ -523,8 +531,8 @@ def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
 
 def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
     """Raise ValueError unless each block is the transpose of its counterpart, up to rounding. The
-    difference is compared with sqrt(a_ii a_jj), which bounds the entries of a positive definite
-    matrix, so that errors in a soft part count."""
+    difference is compared with sqrt(a_ii a_jj), a_ii the largest diagonal entry of node i, which bounds
+    the entries of a positive definite matrix, so that errors in a soft part count."""
     difference = sparse.coo_array(matrix - matrix.T)
     dim = matrix.blocksize[0]
     scale = np.sqrt(diagonal.reshape(-1, dim).max(axis=1))

@@ -47,7 +47,8 @@ _MOST_LINKS = 16  # bodies in a row of which each is the slave of the next
 class Coupling:
     """The transformation between displacements and relative coordinates."""
 
-    weights: sparse.csr_array  # (n_nodes, n_nodes) sparse
+    # (n_nodes, n_nodes): W; negative in the columns of nodes whose part a slave node takes over
+    weights: sparse.csr_array
     fixed: np.ndarray  # (n_dofs,) bool: fixed dofs; those of slave nodes are not relative
     inclined: Inclined  # further directions that supports hold, likewise
     # (n_nodes, n_nodes): I + W + W^2 + ..., which is T without supports; for nodal prolongations
@@ -123,7 +124,8 @@ def relative_prolongation(
 ) -> sparse.csr_array:
     r"""Return a nodal prolongation P in relative coordinates on both levels, :math:`(I - W_f)\,P\,(I
     - W_c)^{-1}`; P itself without any. It spans the space that P spans: rigid motions of all bodies
-    and all else that P reproduces."""
+    and all else that P reproduces. Without :math:`\Pi`, which differs from component to component of
+    a node, as a nodal prolongation cannot."""
     if fine is None and coarse is None:
         return nodal
     inner = nodal if coarse is None else sparse.csr_array(nodal @ coarse.upward)
@@ -135,7 +137,7 @@ def relative_prolongation(
 
 
 def _series(step: sparse.csr_array) -> sparse.csr_array:
-    """Return step + step^2 + ... until a power vanishes."""
+    """Return step + step^2 + ... until a power vanishes, of W or Pi W; ValueError if none does."""
     total = step
     power = step
     for _ in range(_MOST_LINKS):
@@ -157,8 +159,8 @@ def block_diagonal(blocks: np.ndarray) -> sparse.bsr_array:
 
 
 def facing_part(rows: sparse.csr_array) -> sparse.csr_array:
-    """Return the positive entries of weights: those of the other body, not of slave nodes that
-    carry no multiplier."""
+    """Return rows of W with its positive entries alone, those of the other body: slave nodes that carry
+    no multiplier, and are taken over, have negative ones. Those stay stored, as zeros."""
     result = sparse.csr_array(rows, copy=True)
     result.data = np.maximum(result.data, 0.0)
     return result
@@ -292,7 +294,7 @@ class Unknowns:
         return result
 
     def with_prescribed(self, change: np.ndarray) -> np.ndarray:
-        """Return the inverse of :meth:`from_prescribed`."""
+        """Return the inverse of :meth:`from_prescribed` of a flat ``change``."""
         result = change.copy()
         unknowns, _ = self.parts(result)
         unknowns += self.fixed_values
@@ -308,8 +310,9 @@ class Unknowns:
 
     def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the displacement (n_contact, dim) of the contact nodes relative to the nodes that they
-        face, m. Unknowns are that already, except components that supports prescribe; if these are
-        prescribed on both sides, they are relative to the prescribed nodes of the other side."""
+        face, m, of unknowns (n_dofs,) or (n_nodes, dim). Unknowns are that already, except components that
+        supports prescribe; if these are prescribed on both sides, they are relative to the prescribed
+        nodes of the other side."""
         nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
         nodes = self.contact.nodes
         result = nodal[nodes]
@@ -414,6 +417,7 @@ def frames_of(problem: Unknowns) -> np.ndarray:
     axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     spans = problem.held_spans(contact.nodes)
     held = np.flatnonzero(spans.any(axis=(1, 2)))
+    # column d of a projection is what is held of axis d; the squared length of this is its entry (d, d)
     longest = np.argmax(np.einsum("nii->ni", spans[held]), axis=1)
     axis[held] = spans[held, :, longest]
     t1 = axis - np.sum(axis * normals, axis=1)[:, None] * normals
@@ -430,13 +434,14 @@ def to_frames(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 def from_frames(frames: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """Return the inverse of :func:`to_frames`; with some rows of frames, say ``frames[:, 1:]``, of
-    those components."""
+    """Return the inverse of :func:`to_frames` for ``local`` components (n, k); with k rows of frames, say
+    ``frames[:, 1:]``, of those components."""
     return np.einsum("nk,nkd->nd", local, frames)
 
 
 def rotate(vector: np.ndarray, frames: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Return a copy of a dof vector with ``frames`` (n_contact, dim, dim) applied at ``nodes``."""
+    """Return a copy of a vector (n_dofs,) with ``frames`` (n_contact, dim, dim) applied at the ``nodes``
+    with these numbers (n_contact,)."""
     dim = frames.shape[1]
     result = np.array(vector, dtype=np.float64).reshape(-1, dim)
     result[nodes] = to_frames(frames, result[nodes])

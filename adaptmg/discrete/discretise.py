@@ -125,9 +125,9 @@ def _matrix_part(
     """Return the ``matrix`` of the bodies and their springs, or, where nothing changes the stiffness of
     a lattice, its ``rows``, of which all but those near its sides are the same.
 
-    They are not where springs add to the matrix, where the weights ``follows`` of slave and tied
-    nodes or inclined supports change its coordinates, where ``effective`` makes the matrix of a time
-    step of it, and where bodies are inelastic, whose tangents differ."""
+    The matrix is returned where springs add to it, where the weights ``follows`` of slave and tied nodes
+    or inclined supports change its coordinates, where ``effective`` makes the matrix of a time step of
+    it, and where bodies are inelastic, whose tangents differ from row to row."""
     problem = posed.problem
     springs = any(isinstance(support, Spring | PointSpring) for support in problem.supports)
     coupled = posed.rows.follows is not None
@@ -142,7 +142,7 @@ def _matrix_part(
 def _initial_strain_parts(posed: Posed, volumes: Volumes) -> dict[str, Any]:
     """Return the parts of a problem that depend on initial strains, apart from the load: the energy
     terms ``strain_free`` in displacements of the bodies, None without initial strains, and the
-    ``volumes`` with their expansion."""
+    ``volumes`` with their expansion, 0 in place of that of other loads without initial strains."""
     problem = posed.problem
     mesh = posed.mesh
     strains = [load for load in problem.loads if isinstance(load, InitialStrain)]

@@ -227,7 +227,8 @@ class Patches:
     slopes: np.ndarray  # (n, dim)
     hoops: np.ndarray  # (n,), or (0,)
     measures: np.ndarray  # (n_patches,): volumes
-    element: np.ndarray | slice  # (n_patches,): an element there
+    # (n_patches,): an element there; of linear elements slice(None), all
+    element: np.ndarray | slice
     # (n, corners), or (0, 0): integrals that, times C_hoop, are the stiffness of the part of the hoop
     # strain that varies within an element; see the module
     spread: np.ndarray
@@ -256,7 +257,8 @@ def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> Patches:
         radii = mesh.points[mesh.elements, 0]
         rule, weights = quadrature_rule(corners, AXISYMMETRIC_DEGREE)
         mean_radius = radii.mean(axis=1)
-        # the integral over the element minus that of the mean
+        # the integral over the element minus that of the mean, as by one more point: with the volume V and the mean
+        # radius R the second term is (2 pi V / 3)^2 / (2 pi V R), the integrand at the centroid times V
         rule = np.vstack([rule, np.full(corners, 1 / corners)])
         weights = np.append(weights, -1.0)
         at_points = 2 * np.pi * measures[:, None] * (weights / (radii @ rule.T))
@@ -320,8 +322,8 @@ def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
 
 
 def _sorted_edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of the edges of all elements, sorted by body and nodes, and the places in this
-    order at which each edge of a body begins."""
+    """Return the order of the edges of all elements, numbered element by element as in EDGES, by body and
+    nodes, and the places in this order at which each edge of a body begins, and the end."""
     begin, end = (mesh.elements[:, ends] for ends in EDGES[mesh.dim].T)
     first_key = pair_keys(mesh.element_body[:, None], np.minimum(begin, end), mesh.n_nodes).reshape(
         -1
@@ -358,16 +360,16 @@ def _elements_of_edges(mesh: MeshArrays) -> sparse.csr_array:
 
 
 def smoothed(mesh: MeshArrays, values: np.ndarray, measures: np.ndarray) -> np.ndarray:
-    """Return S v (n_elements, n_values) of the values of elements, which have these
-    ``measures``."""
+    """Return S v of the module (n_elements, n_values) for values v (n_elements, n_values) of elements,
+    which have the volumes ``measures`` (n_elements,)."""
     edges = _elements_of_edges(mesh)
     means = (edges @ (measures[:, None] * values)) / (edges @ measures)[:, None]
     return (edges.T @ means) / len(EDGES[mesh.dim])
 
 
 def edge_means(mesh: MeshArrays, values: np.ndarray) -> np.ndarray:
-    """Return the means (n_elements, n_values) of the values of the edges of elements, the patches
-    of smoothed ones."""
+    """Return the means (n_elements, n_values) of the values (n_edges, n_values) of the edges of elements,
+    the patches of smoothed ones."""
     return (_elements_of_edges(mesh).T @ values) / len(EDGES[mesh.dim])
 
 
@@ -426,8 +428,9 @@ def starts_of(elements: np.ndarray) -> np.ndarray:
 def pattern(
     of_nodes: tuple[np.ndarray, np.ndarray], start: np.ndarray, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return row pointers (n_nodes + 1,) and sorted columns of the matrix of patches, which
-    :func:`patches_of_nodes` returned ``of_nodes``; ValueError for a node without one."""
+    """Return row pointers (n_nodes + 1,) and sorted columns of the matrix of patches; ``of_nodes`` is
+    what :func:`patches_of_nodes` returns for their ``start`` and ``nodes``. ValueError for a node
+    without a patch."""
     n = len(of_nodes[0]) - 1
     indptr = np.zeros(n + 1, dtype=np.int64)
     arguments = *of_nodes, start, nodes, indptr
@@ -545,8 +548,8 @@ def _shape_gradients(first, last, zero, points, elements, slopes, measures):
 @inner_kernel(inline="always")
 def _add_isotropic(zero, i, lame, shear, p, first, last, nodes, slopes, slot, data):
     """Add lame g h' + shear (h g' + g.h I) with the slopes g of corner p, node i, and h of the corners
-    from ``first`` to before ``last`` of its patch: (x, y, z) is lame g, (r, s, t) shear g, (u, v, w)
-    h."""
+    from ``first`` to before ``last`` of its patch, to the blocks ``data[slot[j]]`` of their nodes j >= i.
+    ``lame`` and ``shear`` are times the volume. (x, y, z) is lame g, (r, s, t) shear g, (u, v, w) h."""
     x = lame * slopes[p, 0]
     y = lame * slopes[p, 1]
     z = lame * slopes[p, 2] if len(zero) == 3 else 0.0
@@ -576,8 +579,8 @@ def _add_isotropic(zero, i, lame, shear, p, first, last, nodes, slopes, slot, da
 @inner_kernel(inline="always")
 def _unit_stresses(zero, measure, tensor, p, slopes, hoops, table, stress):
     """Write V C B_p: ``stress[c, a]`` is column c of the stress that a unit displacement of corner p along
-    a makes, times the measure V of the patch; (x, y, z) is V times the slopes of p, in axisymmetry z is V
-    times its hoop strain."""
+    a makes, times the measure V of the patch, whose C is row ``tensor`` of ``table``; (x, y, z) is V times
+    the slopes of p, in axisymmetry z is V times its hoop strain."""
     x = measure * slopes[p, 0]
     y = measure * slopes[p, 1]
     z = measure * (slopes[p, 2] if len(zero) == 3 else hoops[p] if len(hoops) else 0.0)
@@ -644,8 +647,10 @@ def _add_patches(
     data,
 ):
     """Write the upper half of rows: the block of nodes i and j is the sum of V B_p' C B_q over the patches
-    in which i is a corner p and j a corner q. Node i is in ``patches[start[i]:start[i + 1]]``, ``slot``
-    has the places of its blocks by the nodes j."""
+    in which i is a corner p and j a corner q. Node i is in ``patches[start[i]:start[i + 1]]``, patch e has
+    ``nodes[begin[e]:begin[e + 1]]`` and the tensor ``table[rows[e]]``, whose ``lame_constants[rows[e]]`` are
+    NaN where all its entries count; ``slopes``, ``hoops``, ``spread`` and ``measures`` are those of
+    :class:`Patches`. ``slot`` has the places of the blocks of row i by the nodes j."""
     one = np.uint64(1)
     stress = np.empty((2 * len(zero), len(zero)))
     slot = np.empty(len(indptr) - 1, dtype=np.int64)
@@ -654,7 +659,8 @@ def _add_patches(
             slot[indices[at]] = at
         data[slot[i] : indptr[i + 1]] = 0.0
         for k in range(start[i], start[i + 1]):
-            # ask for the nodes and the slopes of the patch that comes _LATER, by its first corner
+            # ask for the nodes and the slopes (three lines of 64 bytes) of the patch that comes _LATER, from its
+            # first corner on
             ahead = k + _LATER if k + _LATER < len(patches) else k
             later = np.int64(begin[np.uint64(patches[ahead])])
             prefetch(np.uintp(np.int64(nodes.ctypes.data) + nodes.itemsize * later))
@@ -737,7 +743,7 @@ def motions_at(mesh: MeshArrays, axisymmetric: bool, nodes: np.ndarray | slice) 
     """Return :func:`rigid_motions` (n, dim, k) at some nodes."""
     columns = []
     for piece in nodes_of_pieces(mesh):
-        if axisymmetric:
+        if axisymmetric:  # only along the axis: others would strain the hoop
             modes = np.tile([[0.0], [1 / np.sqrt(len(piece))]], (len(piece), 1, 1))
         elif len(piece) == mesh.n_nodes:
             return rigid_body_modes(mesh.points, nodes)

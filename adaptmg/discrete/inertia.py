@@ -21,7 +21,7 @@ from adaptmg.problem.loads import BodyForce
 
 
 def _by_body(value: object, posed: Posed) -> Mapping[str, Any]:
-    """Return values by body, of all bodies unless they are given so."""
+    """Return values by body: a value that is not given by body is that of all bodies."""
     return value if isinstance(value, Mapping) else dict.fromkeys(posed.mesh.bodies, value)
 
 

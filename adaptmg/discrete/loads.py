@@ -124,7 +124,8 @@ def _add(
     axisymmetric: bool,
     normals: np.ndarray | None = None,
 ) -> None:
-    """Add the nodal forces of one load on ``cells`` to ``result`` (n_nodes, dim)."""
+    """Add the nodal forces of one load on ``cells`` (n, n_corners), elements or facets with these
+    ``measures`` (n,), to ``result`` (n_nodes, dim), N; facets have outward unit ``normals`` (n, dim)."""
     rule, points, weights = integration(mesh.points, cells, measures, axisymmetric)
     forces = weights[:, :, None] * load_density(load, points, normals)
     np.add.at(result, cells, rule.T @ forces)
@@ -161,7 +162,7 @@ def load_density(
     load: BodyForce | Pressure | Traction, points: np.ndarray, normals: np.ndarray | None
 ) -> np.ndarray:
     """Return the force per volume or area at points (n_cells, n_quadrature, dim), in the same
-    shape."""
+    shape; a pressure acts against the outward unit ``normals`` (n_cells, dim) of facets."""
     shape = points.shape[:2]
     dim = points.shape[2]
     flat = points.reshape(-1, dim)
@@ -191,7 +192,8 @@ def body_elements(mesh: MeshArrays, body: str) -> np.ndarray:
 def mean_initial_strain(
     mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric: bool = False
 ) -> np.ndarray:
-    """Return the mean (n_elements, 3) of the sum of all initial strains on each element."""
+    """Return the mean (n_elements, 3) of the sum of all initial strains on each element: components
+    along the axes, in the plane the third one as in the module."""
     result = np.zeros((len(mesh.elements), 3))
     for load in loads:
         if isinstance(load, InitialStrain):
@@ -272,8 +274,8 @@ def _mean_around_edges(
 
 
 def foundation(spring: Spring, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return stiffness per area (n_facets, n_points, dim, dim), N/m^3, at points of facets with
-    these unit normals."""
+    """Return stiffness per area (n_facets, n_points, dim, dim), N/m^3, at ``points`` (n_facets, n_points,
+    dim) of facets with the unit ``normals`` (n_facets, dim)."""
     flat = points.reshape(-1, points.shape[2])
     normal, tangential = (
         checks.field(
@@ -296,7 +298,8 @@ def foundation(spring: Spring, points: np.ndarray, normals: np.ndarray) -> np.nd
 def spring_elements(
     mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nodes (n, k) that springs join, and their stiffness (n, k, k, dim, dim), N/m."""
+    """Return the nodes (n, k) of the facets on which a spring acts, or the one node of a point spring,
+    and the stiffness (n, k, k, dim, dim) between the nodes of each, N/m."""
     if isinstance(spring, PointSpring):
         point_stiffness = np.diag([spring.x, spring.y, spring.z][: mesh.dim])
         return np.array([[node_at(mesh, spring.point, spring.body)]]), point_stiffness[
@@ -331,6 +334,7 @@ def supported_stiffness(
         matrix = sparse.bsr_array(matrix + volumes).sorted_indices()
     springs = [support for support in supports if isinstance(support, Spring | PointSpring)]
     if springs:
+        # ascending, as the columns of each row are: the place of a key is that of its block
         block_rows = np.repeat(np.arange(mesh.n_nodes), np.diff(matrix.indptr))
         keys = pair_keys(block_rows, matrix.indices, mesh.n_nodes)
     for spring in springs:
@@ -359,8 +363,8 @@ def largest_nodal_stiffness(
 def spring_resultants(
     mesh: MeshArrays, supports: Sequence[AnySupport], displacement: np.ndarray, axisymmetric: bool
 ) -> dict[str, list[float]]:
-    """Return by place the force that springs exert on the bodies, N, and its moment about the
-    origin, N m."""
+    """Return by place the components of the force that springs exert on the bodies at a displacement
+    (n_nodes, dim), N, followed by those of its moment about the origin, N m."""
     result: dict[str, list[float]] = {}
     for spring in (support for support in supports if isinstance(support, Spring | PointSpring)):
         cells, blocks = spring_elements(mesh, spring, axisymmetric)

@@ -90,14 +90,16 @@ class MortarInterface:
     the nodes that they face."""
 
     nodes: np.ndarray  # (n,) int: slave nodes, ascending
-    normals: np.ndarray  # (n, dim): unit normals, out of the slave body
+    #: (n, dim): unit normals n, out of the slave body; in front of an obstacle n / |P n| of adaptmg.discrete.obstacles
+    normals: np.ndarray
     #: (n,): measure of the surface that belongs to each node, > 0: m in 2D, m^2 in 3D and in axisymmetry, over the full
     #: circumference
     weights: np.ndarray
     gaps: np.ndarray  # (n,): initial gap along the normal, m; negative where the bodies overlap
     #: (n, n_nodes): B, rows with sum 1, some entries negative; its columns are nodes of the master surface, and slave
-    #: nodes without a multiplier
-    coupling: sparse.csr_array | None = None  # None: in front of an obstacle
+    #: nodes without a multiplier. In front of an obstacle minus the shares of nodes that each node takes over; None if
+    #: there are none
+    coupling: sparse.csr_array | None = None
     #: (n,): smallest distance between the surfaces around each node, m, by which overlaps are recognised: a dual
     #: function changes sign, so that its mean of a distance >= 0 may be negative
     closest: np.ndarray | None = None
@@ -126,9 +128,9 @@ def spread(
 def curved(
     mesh: MeshArrays, sides: tuple[Surface, Surface], exact: Sequence[Sequence[Revolved] | None]
 ) -> tuple[Surface, Surface]:
-    """Return slave and master with their exact surfaces, if both are known and not both plane, else
-    unchanged: where chords of both sides match, their heights cancel, so that exact distances to one
-    side alone would be gaps."""
+    """Return slave and master with their ``exact`` surfaces, those of the slave and of the master, None
+    where they are not known; unchanged unless both are known and not all plane: where chords of both
+    sides match, their heights cancel, so that exact distances to one side alone would be gaps."""
     slave, master = exact
     if not slave or not master or all(surface.plane for surface in (*slave, *master)):
         return sides
@@ -136,7 +138,7 @@ def curved(
         Curved(mesh.points, side.facets, surfaces, bisected=mesh.refinement is not None)
         for surfaces, side in zip((slave, master), sides, strict=True)
     )
-    # a mesh that was moved away from the domain lies far from its surfaces
+    # a mesh that was moved away from the domain lies far from its surfaces, where ``nearest`` is -1
     known = all(np.median(side.nearest) >= 0 for side in (slave_surface, master_surface))
     return (slave_surface, master_surface) if known else sides
 
@@ -165,7 +167,7 @@ def pair_interface(
         surfaces = Surfaces(slave, master, normals, excluded, axisymmetric)
         couple = node_to_node if pair.coupling == "nodes" else partial(mortar, reach=pair.reach)
         interface = couple(surfaces)
-        # slave nodes of which the master covers too little
+        # slave nodes of which the master covers too little. If all hang over they stay: there would be no contact
         hanging = interface.nodes[
             interface.weights < _LEAST_COVERED * slave.lumped(axisymmetric)[interface.nodes]
         ]
@@ -198,6 +200,7 @@ def _check_overlap(
     more than the heights of facets under the arcs that they are chords of."""
     slave = surfaces.slave_side
     gaps = interface.gaps
+    # nodes lie on exact surfaces as well as a mesher or a file puts them there
     rounding = checks.ALIKE if isinstance(slave, Curved) else checks.ROUNDING
     tolerance = np.full(len(gaps), rounding * surfaces.size)
     if with_heights:
@@ -312,23 +315,20 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     coupling = sparse.csr_array(partners + taken @ (partners - sparse.eye_array(n, format="csr")))
     taken_gaps = taken @ np.bincount(nodes, gaps, minlength=n)
     carries = surfaces.carries[nodes]
-    nodes = nodes[carries]
-    normal = normal[carries]
-    gaps = gaps[carries]
-    weights = weights[nodes]
-    if not weights.min() > 0:
+    carrying = nodes[carries]
+    if not weights[carrying].min() > 0:
         raise ValueError(
-            f"slave node {nodes[int(np.argmin(weights))]} has no area: its facets lie on the axis of "
-            "symmetry; end the boundary there"
+            f"slave node {carrying[int(np.argmin(weights[carrying]))]} has no area: its facets lie on the "
+            "axis of symmetry; end the boundary there"
         )
     return MortarInterface(
-        nodes=nodes,
-        normals=normal,
-        weights=weights,
-        gaps=gaps + taken_gaps[nodes],
-        coupling=_without_rounding(sparse.csr_array(coupling[nodes])),
-        closest=gaps,
-        taken_over=sparse.csr_array(taken)[nodes],
+        nodes=carrying,
+        normals=normal[carries],
+        weights=weights[carrying],
+        gaps=gaps[carries] + taken_gaps[carrying],
+        coupling=_without_rounding(sparse.csr_array(coupling[carrying])),
+        closest=gaps[carries],
+        taken_over=sparse.csr_array(taken)[carrying],
     )
 
 
@@ -457,7 +457,8 @@ def _shares_in_facets(carries: np.ndarray) -> np.ndarray:
 def _assembled(
     values: np.ndarray, rows: np.ndarray, columns: np.ndarray, n_nodes: int
 ) -> sparse.csr_array:
-    """Return the matrix (n_nodes, n_nodes) to which facets, with nodes (n, k) each, give blocks (n, k, k)."""
+    """Return the matrix (n_nodes, n_nodes) to which pairs of facets give the blocks ``values`` (n, k, k),
+    in the rows of the nodes ``rows`` (n, k) and the columns of the nodes ``columns`` (n, k)."""
     k = rows.shape[1]
     ends = np.repeat(rows, k, axis=1).ravel(), np.tile(columns, (1, k)).ravel()
     return sparse.csr_array((values.ravel(), ends), shape=(n_nodes, n_nodes))
@@ -486,7 +487,8 @@ def _dual_functions(parts: CoveredParts) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def _without_rounding(coupling: sparse.csr_array) -> sparse.csr_array:
-    """Return a matrix without entries that are zero to rounding, its rows scaled to the sum 1."""
+    """Return a coupling (n, n_nodes) without entries that are zero to rounding, its rows, none of them
+    empty, scaled to the sum 1."""
     row = np.repeat(np.arange(coupling.shape[0]), np.diff(coupling.indptr))
     size = np.abs(coupling.data)
     coupling.data[

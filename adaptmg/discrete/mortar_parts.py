@@ -123,7 +123,7 @@ class CoveredParts:
     enough: np.ndarray  # (n_slave,) bool: more than a sliver of the slave facet is covered
 
     def only(self, chosen: np.ndarray) -> CoveredParts:
-        """Return some of the parts."""
+        """Return the parts of a mask ``chosen`` (n,)."""
         return replace(
             self,
             **{
@@ -244,7 +244,7 @@ def _pieces(
         breaks,
         backward,
         forward,
-        np.empty(counts.max(initial=0), dtype=np.int64),
+        np.empty(counts.max(initial=0), dtype=np.int64),  # overwritten
         *pieces,
     )
     return pieces[0][:n], pieces[1][:n], pieces[2][:n]
@@ -282,8 +282,8 @@ def _edges_near(
 
 
 def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.ndarray:
-    """Return the part (n, 2), begin and end in s, of each slave edge that has its master edge in front,
-    at whatever distance."""
+    """Return the part (n, 2), begin and end in s, of each slave edge (n,) that has its master edge
+    ``facet`` (n,) in front, at whatever distance."""
     start, end = surfaces.master[facet].T
     slave = surfaces.slave[edge]
     # the surfaces run in opposite directions, so that the master's end comes first; a begin or end within
@@ -390,8 +390,10 @@ def nearest_pieces(
     piece_ends,
 ):
     """Cut each slave edge where a master edge begins or ends (``breaks``, ascending in each edge), and
-    give each part the nearest master edge in front of it; return the number of parts. ``active`` is
-    overwritten: the pairs whose master edge reaches the part."""
+    give each part the nearest master edge in front of it, at most ``backward`` behind and ``forward``
+    in front, m; return the number of parts, which are written to the three last arrays. The pairs
+    starts[e], ..., starts[e + 1] - 1 of slave edge e have the master edges ``facets``, opposite to s from
+    ``lows``, ascending, to ``highs``. ``active`` is overwritten: the pairs that reach the part."""
     n_pieces = 0
     for e in range(len(slave)):
         a = slave[e, 0]
@@ -484,8 +486,8 @@ def _local(surfaces: Surfaces, frames: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _triangles_near(
     surfaces: Surfaces, frames: np.ndarray, backward: float, forward: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return master facets that may be opposite to a slave facet: where those of each begin, and their
-    numbers."""
+    """Return master facets that may be opposite to a slave facet with the axes ``frames`` (n_slave, 3, 3):
+    where those of each begin (n_slave + 1,), and their numbers."""
     origins, local = _local(surfaces, frames)
     low = local.min(axis=1)
     high = local.max(axis=1)
@@ -705,8 +707,8 @@ def _gap(plane, moments):
 
 @inner_kernel
 def _nearer(parts, sizes, masters, gaps, i, j, tolerance, spare):
-    """Return which of two parts is nearer where they overlap, -1 if they do not; the same for (i,
-    j) and (j, i)."""
+    """Return which of the parts i and j of one slave facet, as :func:`common_moments` has them, is nearer
+    where they overlap, -1 if they do not; the same for (i, j) and (j, i)."""
     a = min(i, j)
     b = max(i, j)
     if separated(parts[a], sizes[a], masters[b], 3, tolerance):

@@ -103,7 +103,8 @@ class LoadSteps:
         return result
 
     def fixed_values(self, factors: Mapping[str, float]) -> np.ndarray:
-        """Return the prescribed displacement (n_dofs,) of a step, zero at free dofs, m."""
+        """Return the prescribed displacement (n_dofs,) of a step, zero at free dofs, m. Supports without
+        a factor hold the full values of the problem."""
         result = np.zeros(self.n_dofs)
         for name, (dofs, values) in self.prescribed.items():
             result[dofs] += factors.get(name, 1.0) * values
@@ -133,7 +134,8 @@ class LoadSteps:
 
 
 def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
-    """Return the loads and supports of a discretised problem one by one."""
+    """Return the loads and supports of a discretised problem by their names in a load path; a preload,
+    whose force is met by a strain still to be found, has that of a shortening by 1."""
     problem = posed.problem
     mesh = posed.mesh
     loads = {}

@@ -77,7 +77,7 @@ def check_held(
     places: Mapping[int, Moving] | None = None,
 ) -> None:
     """Raise ValueError if supports hold nodes in a load step inside an obstacle, in its place of
-    this step."""
+    this step: that of ``places``, by the number of the contact, else its first one."""
     points = boundaries.mesh.points
     prescribed = discrete.fixed_values.reshape(points.shape)
     for k, contact in enumerate(boundaries.problem.contact):
@@ -85,7 +85,7 @@ def check_held(
             continue
         obstacle = (places or {}).get(k, _obstacle_of(contact))
         if not prescribed.any() and not isinstance(obstacle, Moving):
-            continue
+            continue  # nothing has moved since the initial gaps were checked
         nodes = boundaries.surfaces[contact.boundary].nodes
         normals, gaps = facing_obstacle(
             obstacle, contact.boundary, points[nodes], boundaries.outward[k]
@@ -168,7 +168,9 @@ def _obstacle_of(contact: Contact) -> Obstacle:
 def with_motions(
     boundaries: Boundaries, nodes: np.ndarray, taken: sparse.csr_array | None, boundary: np.ndarray
 ) -> np.ndarray:
-    """Return the slip reference (n_contact, dim) of contact nodes: how obstacles move."""
+    """Return the slip reference (n_contact, dim), m, of contact ``nodes`` (n_contact,) on boundaries with
+    the numbers ``boundary`` (n_contact,): the motion of the obstacle at each, plus that at the nodes
+    that it takes over by the shares ``taken`` (n_contact, n_nodes)."""
     points = boundaries.mesh.points
     slip_reference = np.zeros((len(nodes), boundaries.mesh.dim))
     for k, contact in enumerate(boundaries.problem.contact):
@@ -230,4 +232,5 @@ def moved(
         slip_reference=reference,
         allow_interference=True,
     )
+    # what was computed of contact frames stays as long as normals do
     return discrete.restructured(contact=new) if are_turned else discrete.posing(contact=new)

@@ -117,6 +117,7 @@ class InelasticBodies:
     @property
     def unloaded(self) -> np.ndarray:
         """Return the states (m, n) of bodies before any load."""
+        # at least one number, which `result` reads of bodies without a state, too
         size = max(1, *(material.state_size for material, _ in self.members))
         return np.zeros((len(self.numbers), size))
 

@@ -76,7 +76,7 @@ class Rows:
     normals: np.ndarray  # (n, dim)
     gaps: np.ndarray  # (n,), m
     weights: np.ndarray  # (n,)
-    taken_over: sparse.csr_array | None  # (n, n_nodes)
+    taken_over: sparse.csr_array | None  # (n, n_nodes); None: no node takes over anything
     #: (n_nodes, n_nodes): W of :mod:`adaptmg.discrete.coordinates`, the weights of the nodes that slave and
     #: tied ones face, with what they take over; None if there are none
     follows: sparse.csr_array | None
@@ -216,8 +216,8 @@ class Posed(Boundaries):
         return np.flatnonzero(mentioned)
 
     def check_held(self) -> None:
-        """Raise ValueError if a body, with those glued to it, has neither a support nor a surface in
-        contact."""
+        """Raise ValueError if a body, with those glued to it, has neither a support or spring nor a surface
+        of a contact or tie."""
         mentioned = mask_of(self.nodes, self.mesh.n_nodes)
         for piece in nodes_of_pieces(self.mesh):
             if not mentioned[piece].any():
@@ -282,7 +282,7 @@ class Posed(Boundaries):
             excluded = np.union1d(excluded, contact.nodes[held_rows])
 
     def _rows(self, excluded: np.ndarray) -> Rows:
-        """Return the rows of the table, in which ``excluded`` slave nodes (n,) carry no
+        """Return the rows of the table, in which ``excluded`` slave nodes, by their numbers, carry no
         condition."""
         problem = self.problem
         nodes = self.nodes
@@ -334,13 +334,15 @@ class Posed(Boundaries):
         slave_nodes = surface.nodes
         free_directions = free_normals(self, k, self.outward[k])
         held_in_part = np.linalg.norm(free_directions, axis=1) < 1 - checks.ALIKE
+        # along what supports hold the unknowns of slave nodes are not relative (Pi of
+        # adaptmg.discrete.coordinates): a normal that they hold in part has no condition
         without_multiplier = slave_nodes[
             held_in_part | (self.untied[slave_nodes] != k) | np.isin(slave_nodes, excluded)
         ]
         return pair_interface(self, contact, self.sides[k], without_multiplier)
 
     def _contact_nodes(self, rows: Rows) -> ContactNodes:
-        """Return the contact nodes of the rows that carry conditions, with supports at rest."""
+        """Return the contact nodes of the rows that carry conditions, with the gaps while supports rest."""
         problem = self.problem
         touching = rows.touching
         nodes = rows.nodes[touching]
@@ -363,7 +365,7 @@ class Posed(Boundaries):
 
     def approached(self, prescribed: np.ndarray) -> np.ndarray:
         """Return how much of the gaps (n_contact,) a displacement (n_nodes, dim) that supports
-        prescribe closes along what they hold of the normals, m."""
+        prescribe closes along what they hold of the normals, m; negative where it opens them."""
         rows = self.rows
         shift = prescribed[rows.nodes]
         if rows.taken_over is not None:
@@ -417,7 +419,7 @@ def _evaluated(law: Law, points: np.ndarray, weights: np.ndarray) -> Law:
 
 
 def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
-    """Return the law of a problem at contact nodes."""
+    """Return the law of a problem at contact nodes, one for all boundaries: each may have its own."""
     problem = posed.problem
     points = posed.mesh.points[contact.nodes]
     laws = [

@@ -361,6 +361,7 @@ class DiscreteProblem(Unknowns):
         """Return the problem with other parts (load, law, ...), which have been checked."""
         result = copy.copy(self)
         if "matrix" in parts:
+            # those of the old matrix, which are made of the new one when they are first read
             result.__dict__.pop("rows", None)
         result.__dict__.update(parts, _computed=Computed())
         return result
@@ -531,8 +532,8 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
     volumes = replace(volumes, rows=coupling.relative_rows(volumes.rows))
     if parts.get("ties"):  # the relative displacement of tied nodes is fixed
         tied = parts["fixed"].copy().reshape(weights.shape[0], -1)
-        for _, _, nodes, _ in parts["ties"]:
-            tied[nodes] = True
+        for _, _, tied_nodes, _ in parts["ties"]:
+            tied[tied_nodes] = True
         parts = parts | {"fixed": tied.reshape(-1)}
     if parts.get("motions") is not None:
         parts = parts | {"motions": partial(_relative_motions, coupling, parts["motions"])}

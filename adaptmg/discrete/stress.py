@@ -78,7 +78,8 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 
 
 def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-    """Return the gradients d u_i / d x_j (n_elements, dim, dim)."""
+    """Return the gradients d u_i / d x_j (n_elements, dim, dim) of a displacement (n_nodes, dim) or
+    (n_dofs,), m."""
     slopes, _ = shape_gradients(mesh)
     u = _nodal(mesh, displacement)
     gradients = np.empty((len(slopes), mesh.dim, mesh.dim))
@@ -90,7 +91,8 @@ def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndar
 
 
 def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-    """Return the mean hoop strain u_r / r of axisymmetric elements."""
+    """Return the mean hoop strain u_r / r (n_elements,) of axisymmetric elements at a displacement
+    (n_nodes, 2) or (n_dofs,), m."""
     u = _nodal(mesh, displacement)
     return u[mesh.elements, 0].sum(axis=1) / mesh.points[mesh.elements, 0].sum(axis=1)
 
@@ -115,8 +117,8 @@ class PlasticState:
 
 @dataclass(frozen=True, eq=False)
 class StressData:
-    """Materials and strains from which stresses follow, next to a mesh and a displacement.
-
+    """Materials and strains from which stresses follow, next to a mesh and a displacement, (n_nodes, dim)
+    or (n_dofs,), m.
     A result on a mesh has it. A result of a bare DiscreteProblem answers :meth:`Result.stress` after
     ``dataclasses.replace(result, mesh=mesh, stress_data=am.solver.StressData.of(mesh, material))``.
 
@@ -199,8 +201,8 @@ class StressData:
         return as_tensors(self.columns(mesh, displacement))
 
     def columns(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-        """Return the components (n_elements, 2 dim) of these tensors in the order of
-        :mod:`adaptmg.discrete.moduli`."""
+        """Return the components (n_elements, 2 dim), Pa, of the tensors of :meth:`tensors` in the order
+        of :mod:`adaptmg.discrete.moduli`."""
         if self.plastic is not None:
             i, j = PAIRS[: 2 * mesh.dim].T
             return self.plastic.stress[:, i, j]
@@ -240,6 +242,7 @@ class StressData:
         """Return the strain energy, J (plane: J/m); where there are plastic bodies that of their
         elastic strains."""
         if self.plastic is not None:
+            # stresses of plastic bodies are whole, with what groups of nodes bear: so must be their tensors
             whole = replace(self, smoothed=False).of_elements(mesh)
             stress = self.columns(mesh, displacement)
             work = whole.work(stress, stress, plane=False)
@@ -263,8 +266,8 @@ class StressData:
         )
 
     def _elastic(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-        """Return the columns of the strain minus initial strain; of plane stress without the strain
-        through the thickness."""
+        """Return the columns (n_elements, 2 dim) of the strain minus initial strain; of plane stress
+        without the strain through the thickness."""
         if len(self.kind) != len(mesh.bodies) or len(self.initial_strain) not in (
             0,
             len(mesh.elements),
@@ -283,12 +286,13 @@ class StressData:
         return strain
 
     def _stress(self, mesh: MeshArrays, strain: np.ndarray) -> np.ndarray:
-        """Return the columns of the stresses of elastic strains, Pa."""
+        """Return the columns (n_elements, 2 dim), Pa, of the stresses of elastic strains (n_elements, 2 dim)."""
         if self.smoothed:
             strain = smoothed(mesh, strain, element_measures(mesh, self.axisymmetric))
         stress = self.of_elements(mesh).stress(strain)
         if self.pressure is not None:
             stress[:, :3] += self.pressure[:, None]
+        # the row zz of sheets gave the strain through the thickness
         stress[self.thin[mesh.element_body], 2] = 0.0
         return stress
 
@@ -370,8 +374,8 @@ def cut_force(
 
 
 def cut_stiffness(mesh: MeshArrays, material: Materials, preload: Preload) -> float:
-    """Return the force, N, that belongs to a strain of 1 in the mean section of a body with free
-    sides."""
+    """Return the force, N, by which the body of a preload with free sides resists a strain of 1 along the
+    axis, in its mean section."""
     elements = body_elements(mesh, preload.body)
     young = body_materials(mesh, material)[mesh.bodies.index(preload.body)].young
     volume = element_measures(mesh, is_axisymmetric(material))[elements].sum()
@@ -416,7 +420,8 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _surrounded_nodes(cells: np.ndarray, by_node: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Return the inner nodes. By Euler's formula F elements that surround a node have F other nodes, in
+    """Return the inner nodes of ``cells`` (n, dim + 1), of which each node has those that
+    :func:`elements_of_nodes` returned. By Euler's formula F elements that surround a node have F other nodes, in
     space F / 2 + 2; around a boundary node they have more."""
     indptr, _ = pattern(by_node, starts_of(cells), cells.reshape(-1))
     n_others = np.diff(indptr) - 1
@@ -452,7 +457,8 @@ def _fits(
     patches: sparse.csr_array, places: np.ndarray, centroids: np.ndarray, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return fits a, B (n, dim + 1, n_values) around places (n, dim), and the mask (n,) of the patches
-    (n, n_elements) that determine them; elsewhere a is the mean, and B has no meaning."""
+    (n, n_elements) that determine them, of ``values`` (n_elements, n_values) at ``centroids`` (n_elements,
+    dim); elsewhere a is the mean, and B has no meaning."""
     first = patches.indptr[:-1]
     rows = np.repeat(np.arange(len(places)), np.diff(patches.indptr))
     offsets = centroids.take(patches.indices, axis=0) - places.take(rows, axis=0)

@@ -215,7 +215,7 @@ def _largest_radius(
 
 def _element_size(mesh: MeshArrays, r: np.ndarray, radius: float) -> float:
     """Return the median size, m, of the elements at .2 to 1 of a radius, the edge of an equilateral one of
-    the same area; infinite if there are none."""
+    the same area; infinite if there are none. ``r`` (n_nodes,) are the distances from the tip."""
     ring = np.abs(r[mesh.elements].mean(axis=1) / radius - 0.6) < 0.4  # .2 to 1
     sizes = np.sqrt(4 / np.sqrt(3) * mesh.volumes[ring])
     return float(np.median(sizes)) if len(sizes) else np.inf
@@ -248,8 +248,8 @@ def _nodal_forces(mesh: MeshArrays, stress: np.ndarray) -> np.ndarray:
 def _fitted_tractions(
     mesh: MeshArrays, tip: Tip, faces: list[str], forces: np.ndarray, outer: float
 ) -> np.ndarray:
-    """Return the tractions on the left face as coefficients (3, 2) of powers of r, fitted to those of
-    both faces; on the right face they are opposite."""
+    """Return the tractions on the left face as coefficients (3, 2) of powers of r, fitted to the nodal
+    ``forces`` (n_nodes, 2), in the axes of the tip, on both faces; on the right face they are opposite."""
     places = []
     masses = []
     loads = []
@@ -349,8 +349,8 @@ class _Fields:
 def _near_field(
     z: np.ndarray, factor: complex, kolosov: float, shear: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the stresses (..., 2, 2) of K_I + i K_II, the derivative of the displacement along the crack
-    (..., 2) and that of the stresses (..., 2, 2)."""
+    """Return the stresses (..., 2, 2) of K_I + i K_II = ``factor`` at places z = x_1 + i x_2 (...,), the
+    derivative of the displacement along the crack (..., 2) and that of the stresses (..., 2, 2)."""
     # phi_1, phi_2, psi_1 are phi', phi'', psi' of the module, phi''' = -1.5 phi'' / z, psi'' = -0.5 psi' / z;
     # 2 mu u = kappa phi - z conj(phi') - conj(psi)
     a = np.conj(factor) / np.sqrt(8 * np.pi)

@@ -312,8 +312,8 @@ def held_directions(holds: Sequence[Held]) -> dict[str, np.ndarray]:
 
 
 def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined:
-    """Return the nodes that supports hold along directions other than axes; ValueError where values
-    contradict."""
+    """Return the nodes, of those at ``points`` (n_nodes, dim), that supports hold along directions other
+    than axes; ValueError where values contradict."""
     oblique = [hold.nodes for hold in holds if hold.axis is None]
     if not oblique:
         return Inclined.none(points.shape[1])

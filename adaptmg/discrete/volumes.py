@@ -147,7 +147,8 @@ class Volumes:
         return np.divide(self.means.T @ pressures, total, out=np.zeros_like(total), where=total > 0)
 
     def of_elements(self, pressures: np.ndarray) -> np.ndarray:
-        """Return the means (n_elements,) of the pressures at the corners of elements."""
+        """Return the means (n_elements,) of the pressures (n_groups,) at the corners of elements, which are
+        0 where a corner has no group: its number -1 is the place of the last entry."""
         return np.append(pressures, 0.0)[self.corners].mean(axis=1)
 
 
@@ -169,6 +170,7 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     in_groups = (kappa > 0)[mesh.element_body]
     if not in_groups.any():
         return Volumes.none(mesh.n_nodes, dim)
+    # the corners of these elements, by numbers of their nodes along a curve, and by those of the mesh
     cells = _nodes_of_bodies(mesh, in_groups)
     elements = mesh.elements[in_groups]
     starts = starts_of(cells)
@@ -179,6 +181,7 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     if is_axisymmetric(materials):
         mean_radius = mesh.points[elements, 0].mean(axis=1)
         corner_volumes *= 2 * np.pi * mean_radius
+        # the divergence has u_r / r, at the centroid, where the shape functions are 1/3
         slopes[:, :, 0] += 1 / (3 * mean_radius[:, None])
     corner_volumes /= dim + 1
     node_volumes = np.bincount(cells.reshape(-1), np.repeat(corner_volumes, dim + 1))
@@ -199,6 +202,7 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     means = sparse.csr_array(
         (node_volumes / areas[group], (group, mesh_node)), shape=(n_groups, mesh.n_nodes)
     )
+    # a group lies in one body: whichever of its corners comes last
     body = np.empty(n_groups, dtype=np.int64)
     body[group_of_corner] = mesh.element_body[in_groups, None]
     corners = np.full(mesh.elements.shape, -1, dtype=np.int32)
@@ -252,8 +256,9 @@ def _nodes_of_bodies(mesh: MeshArrays, chosen: np.ndarray) -> np.ndarray:
 @kernel
 def _gather(indptr, indices, size, group):
     """Number the groups of nodes in ``group``, which comes as -1; returns their number. A group
-    grows from the first free node over free neighbours, those of its first members first; a group
-    that stays too small joins its smallest neighbour."""
+    grows from the first free node over free neighbours, those of its first members first, to ``size``
+    nodes; a group that stays smaller joins its smallest neighbour. Node i has the neighbours
+    ``indices[indptr[i]:indptr[i + 1]]``, and is one of them."""
     n = len(group)
     n_groups = 0
     queue = np.empty(size, dtype=np.int64)

@@ -218,6 +218,8 @@ def _check_bodies(problem: ContactProblem, parts: LoopParts) -> None:
                 "problem has plastic bodies, which need a load_path and, as other estimates do not account "
                 "for them, indicator=am.Recovery()"
             )
+        # estimates of these bodies compare neither loads nor obstacles with those of the problem
+        # (stress_fields.solved): obstacles may move
         return
     if path is not None and obstacles_in_path(problem):
         raise ValueError(

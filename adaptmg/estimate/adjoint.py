@@ -108,10 +108,12 @@ def linearised_contact(
         frames, discrete.at_contact(unknowns) - discrete.contact.slip_reference
     )
     slip = relative_slip[:, 1:]
+    # the largest normal displacement from the prescribed values, minus that of the solution
     gap = nodal.gap - np.einsum(
         "nj,nj->n", frames[:, 0], discrete.from_prescribed(unknowns).reshape(-1, dim)[nodes]
     )
     force = to_frames(frames, residual.reshape(-1, dim)[nodes])
+    # along what supports hold it contains their reaction
     force[:, 1:][held] = 0.0
     slip_length = np.linalg.norm(slip, axis=1)
     at_rest = slip_length <= checks.ROUNDING * np.abs(unknowns).max(initial=0.0)
@@ -349,10 +351,11 @@ def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
         matrix = coarse_matrix(matrix, nodal)
         matrices.append(split(matrix, level.discrete.fixed))
         prolongations.append(nodal)
+    # nothing reads the work that the run counts
     cycle = LinearCycle(
         matrices[::-1], prolongations[::-1], Run(unit=1), sweeps=[2] * len(matrices)
     )
-    cycle.renew(len(matrices) - 1)
+    cycle.renew(len(matrices) - 1)  # factorises the coarsest matrix
     return cycle
 
 

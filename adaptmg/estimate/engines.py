@@ -344,6 +344,7 @@ class Remesh:
         from adaptmg.mesh.grading import sized_by
 
         functions = {body: field.function(body) for body in field.mesh.bodies}
+        # a domain that is not an assembly takes one function
         return sized_by(
             meshed_domain(problem),
             functions if len(functions) > 1 else functions.popitem()[1],
@@ -354,7 +355,8 @@ class Remesh:
 
 def _nodes_to_aim_at(nodes: int, max_nodes: int | None, growth: float) -> float:
     """Return the number of nodes to aim at after a mesh of ``nodes`` nodes: ``growth`` times as many,
-    or with ``max_nodes`` the factor near it by which equal steps lead there."""
+    or with ``max_nodes`` by the factor near it by which equal steps lead to _AIM of these; where the mesh
+    has as many already, _AIM of these in one step."""
     if max_nodes is None:
         return growth * nodes
     aim = _AIM * checks.integer("max_nodes", max_nodes, 1)

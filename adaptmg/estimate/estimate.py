@@ -396,7 +396,7 @@ def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         on_boundary = mesh.facet_labels == k
         outside = neighbours.outer[on_boundary]
         if not outside.any():
-            continue
+            continue  # a name without facets on the outside, which may have no surface
         surface = mesh.surface(name)
         elements = neighbours.owner[on_boundary]
         facets = surface.facets
@@ -443,7 +443,7 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
     neighbours = state.neighbours
     complementarity, friction = np.zeros((2, len(mesh.elements)))
     opens = contact.state == State.OPEN
-    pressures = contact.pressure
+    pressures = contact.pressure  # 0 at open nodes
     gaps = np.where(opens, np.maximum(contact.gap, 0.0), 0.0)
     limits, tractions = _friction(state, opens)
     slips = from_frames(contact.frames[:, 1:], contact.slip)

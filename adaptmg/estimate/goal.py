@@ -266,8 +266,8 @@ class HalvedError:
 
     ``new`` (n_new,) are the dofs of these nodes in which it may move, ``error`` (n_new,) the error
     from all equations of these dofs together, for signed estimates, and ``diagonal_error`` (n_new,)
-    that from each equation by itself, for marks. ``view`` and ``fine`` are the solution on its mesh
-    and on the halved one, ``norm`` is its energy norm, sqrt(N m)."""
+    that from each equation by itself, for marks, with the ``energies`` (n_new,), N m. ``view`` and
+    ``fine`` are the solution on its mesh and on the halved one, ``norm`` is its energy norm, sqrt(N m)."""
 
     def __init__(self, view: GoalView, fine: GoalView, norm: float) -> None:
         self.view = view

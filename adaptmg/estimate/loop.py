@@ -310,7 +310,7 @@ class AdaptiveLoop:
         self.limits = limits
         self.store = store
         self.progress = progress
-        self.clock = Run(unit=1)
+        self.clock = Run(unit=1)  # for the seconds of its phases: it counts no work
         self.clock.timings |= start.timings
         self.done: list[Step] = []
         #: for all load steps of the path of the last step, from :meth:`_solve`; None without a load path, and
@@ -552,6 +552,7 @@ class AdaptiveLoop:
         seconds = sum(self.clock.timings.values()) + (0.0 if last is None else last.total_seconds)
         self.progress(
             {
+                # a step that is done is among ``done``
                 "step": len(self.done) - (phase == "done"),
                 "phase": phase,
                 "nodes": nodes,
@@ -602,6 +603,7 @@ def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarch
         middle = between(hierarchy.problem, finest, mesh)
         if middle is not None:
             middle = sound_mesh(engine, "intermediate", hierarchy.problem, middle, finest)
+        # not worth making with about as many nodes as one of its neighbours
         if middle is None or not (
             LEAST_GROWTH * finest.n_nodes <= middle.n_nodes <= mesh.n_nodes / LEAST_GROWTH
         ):
@@ -628,8 +630,8 @@ def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
 
 
 def carried(hierarchy: Hierarchy, below: int, result: Result) -> Result:
-    """Return the result of a level with displacement and pressures interpolated to the finest one,
-    level by level."""
+    """Return the result of level number ``below`` with displacement and pressures interpolated to the
+    finest one, level by level."""
     values = hierarchy[below].discrete.relative(result.displacement)
     pressures = result.pressures
     for coarse, level in pairwise(hierarchy.levels[below:]):

@@ -133,7 +133,7 @@ def _mean(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _looser(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the state between two nodes: the looser one, as the solution does not say where contact
-    ends, or that of the node that has one."""
+    ends (the codes ascend: OPEN, SLIP, STICK), or that of the node that has one."""
     return np.where(a == _NONE, b, np.where(b == _NONE, a, np.minimum(a, b)))
 
 
@@ -253,6 +253,7 @@ class Displacement:
         for point, element, weights, distance in zip(
             self.points, place.element, place.weights, place.distance, strict=True
         ):
+            # on the halved mesh curved boundaries have other chords, outside which the point may lie
             if view.coarse is None and distance > checks.SIX_DIGITS * mesh.element_sizes[element]:
                 raise ValueError(f"points: {point} lies {distance:.3g} m outside the mesh")
             nodal = np.zeros(mesh.points.shape)

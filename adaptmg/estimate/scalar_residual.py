@@ -53,7 +53,7 @@ def scalar_squares(
     contact = result.contact
     # from the limits (2, n_nodes)
     distances = _PRESSING * (values - problem.limits_at(mesh.points))
-    load = forces - result.reaction[:, 0]
+    load = forces - result.reaction[:, 0]  # A u minus the forces of held nodes and of obstacles
     _check_same("loads", load - level.discrete.load, (forces, result.reaction))
     nearest = distances.min(axis=0)[contact.node]
     _check_same("limits", nearest - contact.gap, (values, contact.gap))

@@ -269,8 +269,9 @@ class Solved:
 
     def check_loads(self) -> None:
         """Raise ValueError unless the result is of the loads of the problem: its load is b = A u -
-        reactions - contact forces. It must be the load of the discrete problem, or that of the posed
-        one, as a hierarchy may have the problem of a load step without its discretisation."""
+        ``result.reaction``, the forces of supports and of contact. It must be the load of the discrete
+        problem, or that of the posed one, as a hierarchy may have the problem of a load step without its
+        discretisation."""
         unknowns, forces = self._unknowns_and_forces
         exerted = np.asarray(self.result.reaction, dtype=np.float64).reshape(-1)
         if exerted.shape != forces.shape:

@@ -571,7 +571,7 @@ def parents_of(mesh: MeshArrays) -> np.ndarray:
 
 
 def trusted(mesh: MeshArrays, sound: bool = True) -> MeshArrays:
-    """Return the arrays of a mesh, not copied, as a mesh that is known to be sound."""
+    """Return the arrays of a mesh, not copied, as a mesh that is known to be ``sound``, or not (yet)."""
     return MeshArrays.written(**vars(mesh) | {"sound": sound})
 
 

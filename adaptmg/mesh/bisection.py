@@ -22,8 +22,10 @@ that with the highest node numbers. This is one order of all edges of a mesh.
 
 Elements are rows of 32 bit integers: corners, the boundary facet opposite each (-1: none), marks
 (of both faces, and the flag), generation (bisections since the initial mesh), origin (the element
-of the mesh before). Halved edges are found through lists, one for each node: ``nodes[i, HEAD]`` is
-the first node that halves an edge from i to a lower number, ``nodes[p, NEXT]`` the next one."""
+of the mesh before); kernels call the table of rows ``cells``, and the number of corners ``corners``.
+Halved edges are found through lists, one for each node: ``nodes[i, HEAD]`` is the first node that
+halves an edge from i to a lower number, ``nodes[p, NEXT]`` the next one; ``nodes[p, LOW]`` and
+``nodes[p, HIGH]`` are the ends of the edge that p halves."""
 
 from __future__ import annotations
 
@@ -256,7 +258,7 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
             every_edge,
             _ORDERS[corners],
             _NEW_MARK,
-            np.empty(cells.shape[1], dtype=np.int64),
+            np.empty(cells.shape[1], dtype=np.int64),  # scratch
         )
         growth = 2 * growth + 0.5
     points = np.empty((n_nodes, mesh.dim))
@@ -444,8 +446,10 @@ def _write_children(cells, e, n, corners, p, orders, new_mark, old):
 
 @kernel
 def _bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge, orders, new_mark, old):
-    """Bisect the marked elements and what conformity asks for; returns the numbers of elements and
-    nodes, -1 where the tables have too few rows."""
+    """Bisect the first ``n_cells`` rows that are ``marked`` once, or until ``every_edge`` is halved, and
+    what conformity asks for, in tables of which ``n_cells`` and ``n_nodes`` rows are in use; returns these
+    numbers, -1 where the tables have too few rows. ``orders``, ``new_mark`` and ``old`` are those of
+    :func:`_write_children`."""
     # first halve the edge of corners 0 and 1 of marked elements, or all their edges
     most = corners if every_edge else 2
     for e in range(n_cells):

@@ -70,7 +70,8 @@ def mesh_of(
     body: str | None,
 ) -> tuple[MeshArrays, np.ndarray, list[str]]:
     """Return the checked mesh, the midpoints (n, dim), m, of boundary facets that no name of the
-    file holds, and what is to be said of facets that no element has."""
+    file holds, which are called ``unnamed``, and what is to be said of facets that no element has.
+    The other arguments are those of :func:`adaptmg.mesh.from_file`."""
     _check(contents)
     points, elements, block, row, notes = _cut_into_simplices(contents)
     points = unit * points
@@ -188,8 +189,8 @@ def _pieces(
     n: int, table: FacetTable, sets: dict[str, np.ndarray], bodies: Sequence[str] | None
 ) -> np.ndarray:
     """Return the number of the piece of each element (n,), in the order of their first elements. Those
-    ``sets`` of cells (masks (n,) by name) that are bodies separate pieces; an element of several
-    belongs to the last one."""
+    ``sets`` of cells (masks (n,) by name) that are ``bodies``, None: all, separate pieces; an element of
+    several belongs to the last one."""
     label = np.zeros(n, dtype=np.int64)
     for k, name in enumerate(name for name in sets if bodies is None or name in bodies):
         label[sets[name]] = k + 1
@@ -264,6 +265,7 @@ def _labelled(
     for name in order:
         free = label[facets_of[name]] == 0
         label[facets_of[name][free]] = names.index(name) + 1
+        # sets that get no facet at all are noted together below; those that the caller names here, too
         if len(free) and not free.all() and (boundaries is not None or free.any()):
             notes.append(
                 f"{name!r}: {np.count_nonzero(~free)} of {len(free)} facets belong to another name before it; "

@@ -103,8 +103,8 @@ class _Deck:
     """The parts of a deck that were read so far. Names of sets are in capitals."""
 
     def __init__(self) -> None:
-        self.numbers = [np.empty(0, dtype=np.int64)]
-        self.points = [np.empty((0, 3))]
+        self.numbers = [np.empty(0, dtype=np.int64)]  # of the nodes, of each *NODE
+        self.points = [np.empty((0, 3))]  # the places of these nodes
         self.elements: list[
             tuple[str, np.ndarray, np.ndarray, str]
         ] = []  # type, numbers, nodes, set
@@ -112,15 +112,15 @@ class _Deck:
         self.surfaces: dict[
             str, list[tuple[np.ndarray, int]]
         ] = {}  # elements, and their facet (0: all)
-        self.sections: list[str] = []
-        self.nodal: set[str] = set()
+        self.sections: list[str] = []  # sets of elements that have one
+        self.nodal: set[str] = set()  # surfaces that are sets of nodes, as the deck spells them
         self.notes: list[str] = []
-        self.not_read: dict[str, None] = {}
-        self.spelling: dict[str, str] = {}
-        self.material = ""
+        self.not_read: dict[str, None] = {}  # keywords, in order
+        self.spelling: dict[str, str] = {}  # of names in capitals
+        self.material = ""  # the last one named, as is the interaction
         self.interaction = ""
-        self.files = 0
-        self.of_gmsh = False
+        self.files = 0  # read so far
+        self.of_gmsh = False  # whether Gmsh wrote it
 
     def read_file(self, path: Path, place: str = "") -> None:
         """Read a file and those that it includes; ``place`` names it in messages."""
@@ -418,7 +418,7 @@ def _counted(numbers: np.ndarray) -> np.ndarray:
 
 
 def _kind(name: str) -> str | None:
-    """Return the kind of cell of an element type."""
+    """Return the kind of cell of an element type; None of a type that is not read."""
     for pattern, kinds in _TYPES:
         if match := pattern.match(name):
             return kinds.get(int(match[1]))

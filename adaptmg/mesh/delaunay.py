@@ -7,7 +7,9 @@ this one crosses are swapped (S. W. Sloan, 1993); triangles outside are dropped.
 is given in both directions: triangles on its two sides are no neighbours.
 
 Triangles and their neighbours are a closed table from the first to the last step, and no step turns
-a triangle over."""
+a triangle over. In kernels triangle e has the corners ``elements[e]``, counter-clockwise, which are rows
+of ``points``, and beyond the side opposite corner k the neighbour ``across[e, k]``, -1 where there is
+none; the edges of the boundary from node a lead to ``heads[start[a]:start[a + 1]]``."""
 
 from __future__ import annotations
 
@@ -51,8 +53,8 @@ def of_boundary(places: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.n
     # edges of the nodes before it to a corner of the box or across a ring, 4000 nodes take 6 times as
     # long around a square, 10 times around a bar of 10 : 1, and .9 times around a circle; twice as many
     # around a ring with the radii 1 and .97 take 18 times as long
-    count = 2
-    e = 0
+    count = 2  # triangles
+    e = 0  # the one where the next search begins
     numbers = np.arange(n)
     power_of_two = numbers & -numbers  # the largest one that divides the number
     order = np.argsort(-power_of_two, kind="stable")
@@ -128,7 +130,7 @@ def _inside(
 
 @inner_kernel
 def _replace_neighbour(across, e, old, new):
-    """Replace the neighbour ``old`` of an element by another one."""
+    """Replace the neighbour ``old`` of element e by ``new``; nothing happens where e is -1, no element."""
     if e >= 0:
         for k in range(3):
             if across[e, k] == old:
@@ -138,7 +140,7 @@ def _replace_neighbour(across, e, old, new):
 
 @inner_kernel
 def _opposite(elements, e, a, b):
-    """Return which corner of an element is neither a nor b."""
+    """Return which corner, 0 to 2, of element e is neither of its nodes a and b."""
     for k in range(2):
         if elements[e, k] != a and elements[e, k] != b:
             return k
@@ -147,7 +149,8 @@ def _opposite(elements, e, a, b):
 
 @inner_kernel
 def _place(elements, across, e, a, b, c, over_a, over_b, over_c):
-    """Write a triangle and its neighbours, all numbers of 64 bits: it is compiled once."""
+    """Write triangle e with the corners a, b, c and its neighbours opposite these, all numbers of 64 bits:
+    it is compiled once."""
     elements[e, 0] = a
     elements[e, 1] = b
     elements[e, 2] = c

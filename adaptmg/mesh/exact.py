@@ -105,6 +105,7 @@ def _extruded(outline: Outline) -> Iterator[tuple[str, Revolved]]:
 
 
 def _normal(edge: Segment) -> np.ndarray:
+    """Return the unit normal (2,) of an edge, its direction turned by -90 degrees: out of the outline."""
     along = edge.end - edge.start
     return np.array([along[1], -along[0]]) / edge.length
 

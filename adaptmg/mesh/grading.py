@@ -236,7 +236,8 @@ def _mesh_without_netgen(
     domain: Outline | Box, field: SizeField, growth: float | None = None
 ) -> MeshArrays | None:
     """Return the mesh of a plane domain or a box that this package makes without Netgen; None if it
-    fails, or does not have the sizes of the field."""
+    fails, or does not have the sizes of the field. ``growth`` is that of
+    :func:`~adaptmg.mesh.triangulate.triangulated`, of no effect on boxes."""
     try:
         if isinstance(domain, Box):
             mesh = refined_draft(
@@ -358,7 +359,7 @@ def sized_by(
             refuse_too_many(guessed_nodes(2, shape.area, largest), shape)
             if not foreseen:
                 _refuse_large_field(shape, limited, largest)
-        if (mesh := _mesh_without_netgen(shape, limited, grading)) is not None:
+        if (mesh := _mesh_without_netgen(shape, limited, growth=grading)) is not None:
             return mesh
     if isinstance(shape, Box):
         return solid_mesh(shape, solid, "netgen")
@@ -384,6 +385,7 @@ def gradings_of(
     checks.positive("grading", coarsest)
 
     def of(size: float, first: float) -> float:
+        """Return the grading for a size, of which ``first`` is that of the first level."""
         # levels whose sizes rise are refused once they are meshed
         return coarsest * min(checks.positive("size", size) / checks.positive("size", first), 1.0)
 

@@ -91,7 +91,7 @@ def refined_draft(
         facet_excess = equilateral_sizes(mesh.points, mesh.facets) / field_on_facets
         large_facets = facet_excess > TOO_LARGE
         if not (large.any() or large_facets.any()):
-            mesh = improved(mesh, _ROUNDS)
+            mesh = improved(mesh, rounds=_ROUNDS)
             # flat elements that go through a whole body are small by their volume
             large = overlong(mesh, field_on_elements)
             if not large.any():
@@ -102,10 +102,10 @@ def refined_draft(
             mesh = halved(mesh)
         else:
             large[facet_elements(mesh, mesh.facets[large_facets])] = True
-            mesh = refined(mesh, large, 1).mesh
+            mesh = refined(mesh, large, passes=1).mesh
         if onto is not None:
             mesh = onto(mesh, n_old)
-        mesh = improved(mesh, 1)
+        mesh = improved(mesh, rounds=1)
     raise unreachable(domain, large)
 
 
@@ -294,8 +294,8 @@ def _add_derivatives(zero, spokes, measure, shape, total, normal, gradient, hess
 
 @inner_kernel
 def _solve(zero, hessian, step):
-    """Solve a system of which the lower half is given, in place; returns False unless it is
-    positive definite."""
+    """Solve the system of which the lower half is ``hessian`` (dim, dim), overwritten, for the right side
+    ``step`` (dim,), which becomes the solution; returns False unless it is positive definite."""
     dim = len(zero)
     for k in range(dim):
         if not hessian[k, k] > 0.0:

@@ -154,7 +154,8 @@ def plane_mesh(
     else:
         raise unreachable(domain, large)
     try:
-        return with_refinement(check_sizes(check_rims(domain, mesh), field), None)
+        # without the history of its bisections: a mesh that was made, not bisected by the user
+        return with_refinement(check_sizes(check_rims(domain, mesh), field), refinement=None)
     except Unfit as error:
         raise netgen_error(domain, error) from error
 
@@ -199,7 +200,7 @@ def _plane_draft(
                     sides,
                     options | fast,
                     at,
-                    seconds=limit_s(nodes, 2),
+                    seconds=limit_s(nodes, dim=2),
                 )
             if domain.twins:
                 # outward normals are the edges turned by -90 degrees
@@ -385,7 +386,7 @@ def built_shape(worker: Netgen, domain: SolidDomain | Box) -> Shape:
     lower, scale = extent(domain)
     try:
         shape = Shape(
-            *worker("build_shape", domain, lower, scale, seconds=limit_s(0, 3)),
+            *worker("build_shape", domain, lower, scale, seconds=limit_s(nodes=0, dim=3)),
             lower=lower,
             scale=scale,
         )
@@ -503,7 +504,7 @@ def _unit_mesh(
         except (NetgenFails, Unfit, Misplaced) as error:
             why = error
             if not worker.alive:
-                break
+                break  # the shape ended with its process
     if best is None:
         raise netgen_error(domain, why) from why
     return best
@@ -669,8 +670,9 @@ def _relieved(mesh: MeshArrays, possible: list[list[Revolved]]) -> MeshArrays:
         for _ in range(_RELIEFS):
             if not (flat := _flat_ones(mesh)).any():
                 break
-            finer = refined(mesh, flat, 1).mesh
-            mesh = improved(onto_surfaces(surfaces, finer, mesh.n_nodes, 0.0), _MOVES)
+            finer = refined(mesh, flat, passes=1).mesh
+            # elements that are flat for now are the next to be bisected
+            mesh = improved(onto_surfaces(surfaces, finer, mesh.n_nodes, flat=0.0), _MOVES)
             best = max(best, mesh, key=lambda made: mean_ratios(made).min())
     except Misplaced as error:
         _LOG.info("flat elements stay: %s", error)
@@ -698,7 +700,7 @@ def _bisected(
         if shape.cracks:
             # Netgen's mesh has closed cracks, and not all of the elements marked: this one is
             # bisected here, and new nodes stay on chords
-            unit = refined(unit, large, 1).mesh
+            unit = refined(unit, large, passes=1).mesh
             continue
         # in Netgen, whose mesh has its geometry, so that new nodes go onto the surfaces
         unit = _checked_mesh(shape, worker("bisect", large, seconds=limit_s(nodes, dim=3)))

@@ -67,10 +67,10 @@ _ORDER = {
 class _Held:
     """Objects that a request leaves for the next one."""
 
-    mesh: object = None
-    shape: Solid = None
-    file: tuple[str, int] | None = None
-    step: tuple[OCCGeometry, Sequence[Solid]]
+    mesh: object = None  # the last one made, of Netgen or (once bisected) of NGSolve
+    shape: Solid = None  # the last one built, at about unit size
+    file: tuple[str, int] | None = None  # the STEP file that was read last, and when it was changed
+    step: tuple[OCCGeometry, Sequence[Solid]]  # its geometry and its solids
 
 
 def tables(
@@ -542,6 +542,7 @@ def _shape(domain: Domain, origin: np.ndarray, scale: float) -> TopoDS_Shape:
         shape = face.Revolve(occ.Axis(place(np.zeros(3)), Z), domain.angle)
         start = np.array(_place(face.center))
         if domain.angle < 360:
+            # the start of the turn is the profile itself
             _name_ends(
                 shape,
                 ("start", "end"),
@@ -563,7 +564,7 @@ def _place(p: Pnt | Vec) -> tuple[float, float, float]:
 
 
 def _name_ends(shape: TopoDS_Shape, names: tuple[str, str], key: Callable[[Face], float]) -> None:
-    """Name the two faces that no edge of the profile gave a name."""
+    """Name the two faces that no edge of the profile gave a name, in the order of ``key``."""
     for face, name in zip(
         sorted((f for f in shape.faces if not f.name), key=key), names, strict=True
     ):
@@ -667,7 +668,8 @@ def read_meshio(path: str) -> MeshioTables:
     of_gmsh = "gmsh:geometrical" in raw.cell_data
     sets, node_sets = _sets_of(raw)
     if of_gmsh or not sets:
-        # of Gmsh, groups whose numbers are negative, of curves that run the other way, are in no set
+        # of Gmsh, groups whose numbers are negative, of curves that run the other way, are in no set; other files
+        # may have numbers of cells in place of sets
         numbered = _numbered(raw)
         sets = {name: numbered.get(name, []) + sets.get(name, []) for name in numbered | sets}
     points = np.zeros((len(raw.points), 3))

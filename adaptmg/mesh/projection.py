@@ -68,7 +68,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
         name: patches for name, patches in surfaces_of(domain).items() if name in mesh.boundaries
     }
     if all(surface.plane for patches in known.values() for surface in patches):
-        return mesh
+        return mesh  # new nodes lie on planes as they are
     sides = [_Side(patches, *_new_nodes(mesh, name, n_old)) for name, patches in known.items()]
     parents = mesh.refinement.parents
     depth = _depth(parents, n_old)
@@ -85,7 +85,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
             break
         stays[mesh.elements[spoilt]] = True
     else:
-        return mesh
+        return mesh  # each try spoils further elements: all nodes stay on their chords
     if not moved.any():
         return mesh
     return with_refinement(sound_by_construction(replace(mesh, points=points)), mesh.refinement)
@@ -159,6 +159,7 @@ def _points_on_surfaces(
             first += len(side.surfaces)
         moving = np.flatnonzero(surfaces_of_node[:, 0] >= 0)
         places, missed = settled(surfaces, in_space(points[moving]), surfaces_of_node[moving], near)
+        # nodes that do not reach both surfaces stay on the chord
         places[missed] = in_space(points[moving[missed]])
         points[moving] = places[:, : mesh.dim]
     return points

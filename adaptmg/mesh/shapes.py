@@ -313,7 +313,7 @@ def _shorter(
 
 
 def _turned_rings(ring: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Return rings of nodes (n, k), turned so that each begins at its place ``start`` (n,)."""
+    """Return the nodes ``ring`` (n, k), turned so that each row begins at its place ``start`` (n,)."""
     return np.take_along_axis(
         ring, (start[:, None] + np.arange(ring.shape[1])) % ring.shape[1], axis=1
     )

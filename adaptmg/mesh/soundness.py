@@ -208,6 +208,7 @@ def quality(mesh: MeshArrays) -> MeshQuality:
     edges = edge_lengths(corners)
     angles, measures = _angles(mesh.points, mesh.elements)
     inradius = dim * mesh.volumes / measures.sum(axis=1)
+    # edge over inradius of the equilateral element
     equilateral = 2 * np.sqrt(3.0) if dim == 2 else 2 * np.sqrt(6.0)
     return MeshQuality(
         min_angle=float(angles.min()),

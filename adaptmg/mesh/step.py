@@ -236,7 +236,7 @@ def step_table(path: str | Path | StepFile) -> pandas.DataFrame:
             rows.append([body, "", "solid", *sides, volume, *[np.nan] * 4])
             for face, box, normal in zip(faces, boxes, normals, strict=True):
                 sides = [*face.centre, *np.ptp(shape.scale * box, axis=0), face.area]
-                row = [*sides, np.nan, *(normal + 0.0), face.radius]
+                row = [*sides, np.nan, *(normal + 0.0), face.radius]  # + 0.0: no -0.0
                 rows.append([body, face.name, face.kind, *row])
     return pandas.DataFrame(
         rows,

@@ -67,8 +67,8 @@ class Revolved:
     edge: Segment | Arc | None = None  # of the plane (x, y): the surface ends where it does
 
     def gaps(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the signed distances (n,) of points from the surface, and their gradients (n,
-        3)."""
+        """Return the signed distances (n,) of points (n, 3) from the surface, positive outside the circle
+        or on the side of the normal of the line, and their gradients (n, 3)."""
         # points in the half plane (r, z), ``outward`` is the direction of r
         offset = points - self.origin
         z = offset @ self.axis
@@ -229,7 +229,7 @@ def surface_through(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     points (n, 3) and unit normals there, None if there is none. The extent of the solid is about 1, and
     points lie on the surface up to checks.ALIKE."""
     if not (np.isfinite(points).all() and np.isfinite(normals).all()):
-        return None
+        return None  # the face has a singular point there
     centre = points.mean(axis=0)
     centred = points - centre
     for kind in (_plane, _sphere, _cylinder, _turned):

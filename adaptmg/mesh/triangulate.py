@@ -9,7 +9,8 @@ centre, or nearer to the triangle's shortest side, where they make an equilatera
 so that good triangles grow from the boundary. Swaps and moves end it.
 
 No step turns a triangle over. With the boundary among their edges they cover the domain once:
-positive areas with the right sum are all there is to check."""
+positive areas with the right sum are all there is to check. Kernels take points, triangles and
+neighbours as in :mod:`adaptmg.mesh.delaunay`, and ``sizes`` at the points."""
 
 from __future__ import annotations
 
@@ -234,8 +235,8 @@ def _beside_thin_parts(
 def _beside_short_edges(
     domain: Outline, field: Callable[[np.ndarray], np.ndarray]
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the field, lowered around edges that are much shorter than it: triangles at both their
-    ends would be flat."""
+    """Return the field, lowered around edges that are shorter than it at their middles: triangles at both
+    their ends would be flat."""
     sizes = field(np.concatenate([edge.at(np.array([0.5])) for edge in domain.edges]))
     short = [
         (edge, length)
@@ -398,7 +399,7 @@ def _mesh(
 
 @kernel
 def _limit(points, elements, sizes, growth):
-    """Lower sizes that grow by more than so much per distance along edges, once; returns whether
+    """Lower sizes that grow by more than ``growth`` per distance along edges, once; returns whether
     there are any."""
     falls = False
     for e in range(len(elements)):
@@ -418,7 +419,7 @@ def _limit(points, elements, sizes, growth):
 
 @inner_kernel
 def _next_place(points, elements, e, sizes, place):
-    """Write into ``place`` where a triangle gets a node, and return its circumradius: on the
+    """Write into ``place`` (2,) where triangle e gets a node, and return its circumradius: on the
     perpendicular through the middle of its shortest side a b, at the centre of the circle, but at
     most sqrt(3) / 2 h high, where h is the size at that side: of a side of length h this makes an
     equilateral triangle."""

@@ -133,7 +133,7 @@ class LevelTransfer:
     """Nodal prolongations from a level to the next finer, (n_nodes, n_nodes coarse)."""
 
     prolongation: sparse.csr_array  # of relative values where there is a coupling
-    #: with rows of slave nodes that interpolate along the coarse surface, for the monotone correction; None
+    #: with other rows of contact nodes, along the coarse surface, for the monotone correction (module docstring); None
     #: where ``prolongation`` has such rows itself
     surface: sparse.csr_array | None = None
 
@@ -186,13 +186,15 @@ def between_levels(
     # contact nodes that take over weights of tied nodes
     takes_over = np.diff(contact.taken_over.indptr) > 0
     no_limit = _without_limit(coarse_problem)
+    # rows of ``surface``: with the values of coarse slave nodes of this boundary alone, where those of others are not
+    # relative to its master, or without coarse nodes that no condition bounds
     for k, nodes in enumerate(slave_nodes):
         takes_values = contact.masters[k] or takes_over[contact.boundary == k].any()
         may_pass = contact_rows and no_limit[coarse.surface(contact.names[k]).nodes].any()
         if not (takes_values or may_pass):
-            continue
+            continue  # the rows of ``relative`` will do
         rows = slave_rows[k][1] if known is None else known[nodes]
-        if takes_values:
+        if takes_values:  # relative ones, or with shares of tied neighbours
             coarse_contact = coarse_problem.contact
             coarse_slaves = coarse_contact.nodes[coarse_contact.boundary == k]
             rows = _rows_on_side(coarse_slaves, rows, fine.points[nodes], coarse.points)
@@ -361,6 +363,7 @@ class Supports:
     def reduced(self, ufunc: np.ufunc, values: np.ndarray, empty: float) -> np.ndarray:
         """Return fine values (n_fine, ...) reduced over each S_k, ``empty`` where it is."""
         values = self._over_fine(values)
+        # reduceat reduces from one start to the next: empty sets, which have no entries, are left out
         filled = self.main >= 0
         result = np.full((len(self.main), *values.shape[1:]), empty, dtype=values.dtype)
         if filled.any():
@@ -428,7 +431,7 @@ def smallest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     >>> am.transfer.smallest_gap(sets, np.array([1e-6, 2e-6, 3e-6])).tolist()      # m
     [1e-06, 2e-06]
     """
-    return sets.reduced(np.minimum, opening, np.inf)
+    return sets.reduced(np.minimum, opening, empty=np.inf)
 
 
 def largest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
@@ -442,7 +445,7 @@ def largest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     >>> am.transfer.largest_gap(sets, np.array([1e-6, 2e-6, 3e-6])).tolist()       # m
     [2e-06, 3e-06]
     """
-    return sets.reduced(np.maximum, opening, np.inf)
+    return sets.reduced(np.maximum, opening, empty=np.inf)
 
 
 def restricted_problem(
@@ -450,8 +453,8 @@ def restricted_problem(
 ) -> DiscreteProblem:
     """Return the contact problem on a coarse space, from its Galerkin matrix and the nodal
     prolongation from there: with the smallest gap over each S_k, the mean normal, summed limits and
-    the coefficient of the fine node with the largest weight.
-
+    the coefficient of the fine node with the largest weight. Its unknowns are changes from the values
+    that the fine problem prescribes: no dof is fixed, as those of the fine one are decoupled in the matrix.
     ValueError for a prolongation of dofs, or with negative weights at contact nodes."""
     if nodal.shape[0] != fine.n_nodes:
         raise ValueError(
@@ -471,14 +474,14 @@ def restricted_problem(
         matrix=matrix,
         load=(nodal.T @ fine.load_from_prescribed().reshape(-1, fine.dim)).reshape(-1),
         fixed=np.zeros(matrix.shape[0], dtype=bool),
-        law=NodalLaw(summed_limit(reach, limit), reach.injected(friction, 0.0)),
+        law=NodalLaw(summed_limit(reach, limit), reach.injected(friction, empty=0.0)),
         contact=ContactNodes(
             nodes=nodes,
             normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
             gaps=smallest_gap(reach, contact.gaps),
             opposite_gaps=smallest_gap(reach, contact.opposite_gaps),
             weights=weights.T @ contact.weights,
-            slip_reference=reach.injected(contact.slip_reference, 0.0),
+            slip_reference=reach.injected(contact.slip_reference, empty=0.0),
             allow_interference=True,
         ),
         name=f"{fine.name}, coarse",
@@ -496,7 +499,7 @@ def injected_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     >>> am.transfer.injected_gap(sets, np.array([1e-6, 2e-6, 3e-6])).tolist()      # m
     [1e-06, 3e-06]
     """
-    return sets.injected(opening, np.inf)
+    return sets.injected(opening, empty=np.inf)
 
 
 def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = None) -> np.ndarray:
@@ -517,8 +520,8 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     slip = slip if stick is None else np.where(stick[:, None], 0.0, slip)
     if slip.shape[1] <= 1:
         # one of the two is 0 unless all have one sign
-        low = sets.reduced(np.minimum, slip, 0.0)
-        high = sets.reduced(np.maximum, slip, 0.0)
+        low = sets.reduced(np.minimum, slip, empty=0.0)
+        high = sets.reduced(np.maximum, slip, empty=0.0)
         return np.maximum(low, 0.0) + np.minimum(high, 0.0)
     size = np.hypot(slip[:, 0], slip[:, 1])
     coarse = np.repeat(np.arange(len(sets.main)), np.diff(sets.indptr))
@@ -549,7 +552,7 @@ def injected_slip(sets: Supports, slip: np.ndarray) -> np.ndarray:
     >>> am.transfer.injected_slip(sets, np.array([[2e-6], [1e-6], [-1e-6]])).tolist()    # m
     [[2e-06], [-1e-06]]
     """
-    return sets.injected(slip, 0.0)
+    return sets.injected(slip, empty=0.0)
 
 
 def summed_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
@@ -585,4 +588,4 @@ def injected_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
     >>> am.transfer.injected_limit(sets, np.array([10.0, 20.0, 30.0])).tolist()    # N
     [10.0, 30.0]
     """
-    return sets.injected(limit, 0.0)
+    return sets.injected(limit, empty=0.0)

@@ -155,8 +155,7 @@ def without_fixed(
     matrix: sparse.bsr_array, fixed: np.ndarray, *, copy: bool = True
 ) -> sparse.bsr_array:
     """Return the matrix with zero rows and columns of fixed dofs (n_dofs,) but for their diagonal;
-    the pattern stays.
-
+    the pattern stays. It is the matrix itself, changed, with ``copy=False``.
     Examples
     --------
     >>> from scipy import sparse
@@ -170,9 +169,9 @@ def without_fixed(
             (matrix.data.copy(), matrix.indices, matrix.indptr), shape=matrix.shape
         )
     free = (~checked_mask("fixed", fixed, matrix.shape[0])).astype(np.float64).reshape(-1, dim)
-    held: np.ndarray = ~np.all(free, axis=1)
+    held: np.ndarray = ~np.all(free, axis=1)  # nodes with a fixed dof
     rows = np.repeat(np.arange(len(free)), np.diff(matrix.indptr))
-    # change only the blocks in rows and columns of held nodes, which are few
+    # change only the blocks in rows and columns of these nodes, which are few
     at = np.flatnonzero(held[rows] | held[matrix.indices])
     row = rows[at]
     column = matrix.indices[at]

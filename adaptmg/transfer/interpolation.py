@@ -202,7 +202,7 @@ def between_bisected(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
     )
     if not same_history:
         return None
-    # the identity for coarse nodes; parents may be new nodes themselves
+    # the identity for coarse nodes; parents may be new nodes themselves, for which products put their parents
     columns = np.concatenate([np.arange(n, dtype=np.int32), history.parents[n:].ravel()])
     start = np.concatenate([np.arange(n), np.arange(n, len(columns) + 1, 2)])
     weights = np.where(np.arange(len(columns)) < n, 1.0, 0.5)
@@ -230,7 +230,7 @@ def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
         # the first and the last node of a body are opposite corners of its box
         ends_of_coarse = coarse.points[[column, next_column - 1]]
         if (ends_of_coarse != fine.points[[node, next_node - 1]]).any():
-            return None
+            return None  # another box
         of_body = slice(node, next_node)
         _interpolate_on_lattice(coarse_cells, fine_cells, columns[of_body], weights[of_body])
         columns[of_body] += column
@@ -285,6 +285,7 @@ def _rows(
     """Return the sparse matrix (n, n_columns) of weights (n, k) in some columns (n, k), those that
     are ``stored`` (n, k) of them."""
     entries = np.flatnonzero(stored)
+    # the number of stored entries up to the end of each row
     indptr = np.append(0, np.cumsum(stored)[stored.shape[1] - 1 :: stored.shape[1]]).astype(
         np.int32
     )

@@ -268,6 +268,7 @@ class MixedMass:
         a_iek (node i, corner k of element e) times the integrals B_kj of each e."""
         k = self.fine.dim + 1
         nodes, elements, _ = self.patches
+        # row k e + c of the integrals is that of corner c of element e
         rows = k * len(self.fine.elements)
         corners = k * self.elements[:, None] + np.arange(k)
         integrals = sparse.csr_array(
@@ -415,12 +416,14 @@ def clip_elements(
     columns,
     values,
 ):
-    """Compute integrals over the ``chosen`` fine elements from the one numbered ``done`` on, each
-    scaled to volume 1. Entries are written from position ``count`` on: fine element, coarse node
-    and the integrals with the shape functions of the corners. ``covered`` gets the share of each
-    element that the coarse mesh covers; ``marker`` (n_coarse,) is -1 throughout on entry and
-    exit. Return the number of the first element whose entries did not fit into the tables, and the
-    number of entries before it."""
+    """Compute integrals over the fine elements ``chosen[done:]``, each scaled to volume 1. ``points``,
+    ``elements`` and ``fine_maps`` are the nodes, elements and barycentric maps of the fine mesh,
+    ``coarse_points``, ``coarse`` and ``maps`` those of the coarse one, with its tree of ``boxes``. Entries are
+    written from position ``count`` on: fine element, coarse node and the integrals with the shape
+    functions of the corners. ``covered`` (n_chosen,) gets the share of each element that the coarse
+    mesh covers; ``marker`` (n_coarse,) is -1 throughout on entry and exit. Return the place among the
+    ``chosen`` of the first element whose entries did not fit into the tables, len(chosen) if all did,
+    and the number of entries before it."""
     k = elements.shape[1]
     mu = np.empty((k, k))
     moments = np.empty((k, k))
@@ -488,9 +491,10 @@ def _separates(points, corners, maps, e, mu):
 
 @inner_kernel
 def _add_entries(coarse_corners, mu, moments, marker, count, columns, values):
-    """Add the integrals of lambda_i mu_m = sum_v lambda_i lambda_v mu_m(v) to the row of ``values``
-    of each coarse corner m; ``marker`` has the row of a coarse node, -1 if it has none. Returns the
-    number of rows."""
+    """Add the integrals of lambda_i mu_m = sum_v lambda_i lambda_v mu_m(v), with the shape functions
+    lambda of the fine and mu of the coarse element and ``moments`` the integrals of lambda_i lambda_v
+    over their common part, to the row of ``values`` of each coarse corner m; ``marker`` has the row of
+    a coarse node, -1 if it has none. Returns the number of rows."""
     k = len(coarse_corners)
     for m in range(k):
         column = coarse_corners[m]
