@@ -10,6 +10,7 @@ from bisected_meshes import SQUARE, crooked, cube, random_mask
 from bodies import LOWER_ON_UPPER, bar_on_block
 from simplex_meshes import disk, structured
 from smoother_problems import network
+from two_materials import KINDS, MESHES
 from uncompiled import uncompile
 
 import adaptmg as am
@@ -108,7 +109,12 @@ def stiff(kind):
                 contact=am.Contact("bottom", am.GapFunction(lambda x: 0 * x[:, 0])),
             ),
             mesh,
-        ).matrix.toarray()
+        ).matrix.toarray(),
+        am.discrete.stiffness(
+            MESHES[kind.dim],
+            {"left": kind(young=2e9, poisson=0.36), "right": kind(young=1e9, poisson=-0.2)},
+            "smoothed",
+        ).toarray(),
     ]
 
 
@@ -127,10 +133,7 @@ CASES = {
         for dim in (2, 3)
         for law in ("frictionless", "tresca", "coulomb")
     },
-    **{
-        kind.__name__: lambda kind=kind: stiff(kind)
-        for kind in (am.PlaneStress, am.Axisymmetric, am.Solid)
-    },
+    **{name: lambda kind=kind: stiff(kind) for name, kind in KINDS.items()},
 }
 
 

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from mortar import mortar, node_normals, node_to_node
 from refused import refused
 
+import adaptmg as am
 from adaptmg.discrete import mortar as coupling_module
 from adaptmg.discrete import mortar_parts as module
 from adaptmg.discrete.mortar import NEVER_FACING
-from adaptmg.mesh.arrays import Surface
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
 
@@ -130,7 +130,7 @@ class TestFlat:
                 (slice(0, len(xs)), 1, slave),
                 (slice(len(xs), None), -1, master),
             ):
-                consistent = Surface(points, facets).lumped(axisymmetric)
+                consistent = am.mesh.Surface(points, facets).lumped(axisymmetric)
                 np.testing.assert_allclose(sign * forces[nodes], consistent[nodes], atol=1e-12)
         # linear fields, thus rigid motions, and the gap of a parallel offset, of all nodes that are
         # followed
@@ -168,7 +168,9 @@ class TestFlat:
         master = master[master[:, 0] != 6]  # the edge across the hole
         found = mortar(points, slave, master, normals)
         forces = (found.coupling.T @ found.weights)[4:]
-        np.testing.assert_allclose(forces, Surface(points, master).lumped(False)[4:], atol=1e-13)
+        np.testing.assert_allclose(
+            forces, am.mesh.Surface(points, master).lumped(False)[4:], atol=1e-13
+        )
 
 
 DATA = POINTS, SLAVE, MASTER, NORMALS = two(
@@ -182,7 +184,7 @@ def test_heights_of_chords_of_a_circle():
     """Of a closed polygon of n sides in a circle: radius times 1 - cos(pi / n)."""
     radius, n = 3.0, 40
     points, facets, *_ = two(*2 * [arc(radius, 2 * np.pi * np.arange(n) / n)], closed=True)
-    heights, lengths = coupling_module.chord_heights(Surface(points, facets))
+    heights, lengths = coupling_module.chord_heights(am.mesh.Surface(points, facets))
     np.testing.assert_allclose(heights, radius * (1 - np.cos(np.pi / n)), rtol=1e-2)
     np.testing.assert_allclose(lengths, 2 * radius * np.sin(np.pi / n))
 

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 import adaptmg as am
 from adaptmg.discrete.mortar import NEVER_FACING
-from adaptmg.mesh.arrays import Surface
 
 DOWN, UP = False, True
 
@@ -52,7 +51,7 @@ def couple(points, slave, master, **options):
 
 def lumped(points, facets):
     """Integral of each shape function over a surface."""
-    areas = Surface(points, facets).measures
+    areas = am.mesh.Surface(points, facets).measures
     return np.bincount(facets.ravel(), np.repeat(areas / 3, 3), minlength=len(points))
 
 
@@ -183,7 +182,9 @@ def test_closed_surfaces_are_covered_on_every_side():
         points, first, second = joined(slave, master)
         interface = couple(points, first, second)
         assert len(interface) == len(slave[0])
-        assert interface.weights.sum() == pytest.approx(Surface(points, first).measures.sum())
+        assert interface.weights.sum() == pytest.approx(
+            am.mesh.Surface(points, first).measures.sum()
+        )
         assert (sign * interface.gaps > 0).all()
         np.testing.assert_allclose(interface.gaps, 0.05 if sign > 0 else -0.055, atol=0.02)
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from refused import refused
 from two_materials import BOTH_ELEMENTS, EACH_KIND, MESHES
-from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.discrete import elasticity
@@ -16,19 +15,6 @@ from adaptmg.discrete.stress import StressData
 
 def two(kind) -> dict:
     return {"left": kind(young=2.1e11, poisson=0.36), "right": kind(young=7e10, poisson=-0.2)}
-
-
-@EACH_KIND
-def test_the_kernels_compute_the_same_uncompiled(kind, monkeypatch):
-    mesh, materials = MESHES[kind.dim], two(kind)
-    compiled = am.discrete.stiffness(mesh, materials, "smoothed")
-    uncompile(monkeypatch, elasticity)
-    np.testing.assert_allclose(
-        am.discrete.stiffness(mesh, materials, "smoothed").data,
-        compiled.data,
-        rtol=1e-13,
-        atol=1e-3,
-    )
 
 
 @BOTH_ELEMENTS

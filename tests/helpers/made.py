@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 import adaptmg as am
-from adaptmg.solver.examine import ContactResult
 
 
 def square(n: int, size: float = 0.04) -> am.MeshArrays:
@@ -44,7 +43,7 @@ def result_on(mesh: am.MeshArrays | None, **changes: object) -> am.Result:
     force_t = np.zeros_like(slip)
     force_t[:, 0] = -traction * weights
     state = np.where(s <= 0.1, am.OPEN, np.where(s < 0.7, am.SLIP, am.STICK)).astype(np.int8)
-    contact = ContactResult(
+    contact = am.solver.ContactResult(
         node=nodes,
         x=x if mesh is not None else np.full_like(x, np.nan),
         frames=frames,

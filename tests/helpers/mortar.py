@@ -1,19 +1,23 @@
 """The couplings of two surfaces, from arrays."""
 
+import adaptmg as am
 from adaptmg.discrete import mortar as module
 from adaptmg.discrete.mortar_parts import Surfaces
-from adaptmg.mesh.arrays import Surface
 
 __all__ = ["mortar", "node_normals", "node_to_node", "surfaces"]
 
 
 def node_normals(points, facets):
-    return Surface(points, facets).node_normals
+    return am.mesh.Surface(points, facets).node_normals
 
 
 def surfaces(points, slave, master, normals, *, excluded=(), axisymmetric=False):
     return Surfaces(
-        Surface(points, slave), Surface(points, master), normals, [*excluded], axisymmetric
+        am.mesh.Surface(points, slave),
+        am.mesh.Surface(points, master),
+        normals,
+        [*excluded],
+        axisymmetric,
     )
 
 

@@ -3,7 +3,6 @@ as asked."""
 
 import math
 import re
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -221,6 +220,7 @@ test_refuses = refused(
 )
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("sides", "divisions", "square"),
     [
@@ -244,6 +244,4 @@ def test_stretched_cells_are_warned_of_with_divisions_that_are_not(sides, divisi
         with pytest.warns(UserWarning, match=re.escape(f"divisions {square}")) as caught:
             act()
         assert len(caught) == 1 and caught[0].filename == __file__
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        am.mesh.structured(domain, square)
+    am.mesh.structured(domain, square)

@@ -13,7 +13,6 @@ from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.smoother.factorisation import FACTORISED
-from adaptmg.solver import multigrid
 
 
 def nearly_sliding(dim, law, held):
@@ -137,7 +136,7 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, failing, mo
         def singular(self, hierarchy, run, start):
             raise np.linalg.LinAlgError("singular")
 
-        monkeypatch.setattr(multigrid.ActiveSet, "run", singular)
+        monkeypatch.setattr(am.ActiveSet, "run", singular)
     result = am.solve(failing[0], SMOOTHING, throw=False)
     assert "Monotone from cycle" in result.fallback
     # slow, but on its way, and not in silence

@@ -4,7 +4,6 @@ refused."""
 import dataclasses
 import math
 import pickle
-import warnings
 
 import numpy as np
 import pytest
@@ -175,6 +174,7 @@ class TestProblem:
 
         assert two(domain=File(), material=both).bodies == ("a", "b")
 
+    @pytest.mark.filterwarnings("error")
     def test_bodies_that_overlap_without_a_pair_are_named(self):
         """Nothing would separate them; where they only touch, or are a pair, there is no
         warning."""
@@ -198,9 +198,7 @@ class TestProblem:
                 (4, 8),
             )
 
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            posed(0.0)
+        posed(0.0)
         with pytest.warns(
             UserWarning, match=r"'low' and 'third' lie in each other, at \[.* not a contact pair"
         ):
