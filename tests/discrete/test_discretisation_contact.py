@@ -38,87 +38,85 @@ def solid_problem(**changes: object) -> am.ContactProblem:
     return am.ContactProblem(**(arguments | changes))
 
 
-class TestContactNodes:
-    @pytest.mark.parametrize(
-        ("problem", "mesh", "measure"),
-        [(plane_problem(), PLATE, 2.0), (solid_problem(), BLOCK, 2.0)],
+@pytest.mark.parametrize(
+    ("problem", "mesh", "measure"),
+    [(plane_problem(), PLATE, 2.0), (solid_problem(), BLOCK, 2.0)],
+)
+def test_contact_nodes_of_a_flat_boundary(problem, mesh, measure):
+    nodes = Posed.of(problem, mesh).contact
+    np.testing.assert_array_equal(nodes.nodes, mesh.boundary_nodes("bottom"))
+    np.testing.assert_allclose(
+        nodes.normals, np.tile([0.0] * (mesh.dim - 1) + [-1.0], (len(nodes), 1))
     )
-    def test_flat_boundary(self, problem, mesh, measure):
-        nodes = Posed.of(problem, mesh).contact
-        np.testing.assert_array_equal(nodes.nodes, mesh.boundary_nodes("bottom"))
-        np.testing.assert_allclose(
-            nodes.normals, np.tile([0.0] * (mesh.dim - 1) + [-1.0], (len(nodes), 1))
-        )
-        assert nodes.weights.sum() == pytest.approx(measure)
-        assert nodes.weights @ mesh.points[nodes.nodes, 0] == pytest.approx(measure)
-        assert not nodes.gaps.any() and nodes.names == ("bottom",) and not nodes.boundary.any()
+    assert nodes.weights.sum() == pytest.approx(measure)
+    assert nodes.weights @ mesh.points[nodes.nodes, 0] == pytest.approx(measure)
+    assert not nodes.gaps.any() and nodes.names == ("bottom",) and not nodes.boundary.any()
 
-    @pytest.mark.parametrize("scale", [1e-4, 1e4])
-    def test_rounding_of_turned_points_is_no_overlap(self, scale):
-        turn = scale * np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
-        mesh = replace(PLATE, points=PLATE.points @ turn.T)
-        plane = am.Plane(turn @ [0.3, 0.0], turn @ [0.0, 1.0])
-        problem = plane_problem(contact=am.Contact("bottom", plane), supports=())
-        nodes = Posed.of(problem, mesh).contact
-        assert len(nodes) == 5
-        np.testing.assert_allclose(nodes.gaps, 0.0, atol=1e-12 * scale)
 
-    @pytest.mark.parametrize("angle", [0.1, 0.5, 0.9, 2.1, 4.1])
-    def test_a_side_at_a_right_angle_to_a_plane_does_not_face_away(self, angle):
-        """It faces along the plane, but for rounding, which has either sign at turned sides."""
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        mesh = replace(PLATE, points=PLATE.points @ turn.T)
-        plane = am.Plane(turn @ [0.0, -0.5], turn @ [0.0, 1.0])
-        problem = plane_problem(contact=am.Contact("right", plane), supports=())
-        nodes = Posed.of(problem, mesh).contact
-        np.testing.assert_allclose(
-            nodes.gaps, 0.5 + PLATE.points[nodes.nodes, 1], rtol=0, atol=1e-12
-        )
+@pytest.mark.parametrize("scale", [1e-4, 1e4])
+def test_rounding_of_turned_points_is_no_overlap(scale):
+    turn = scale * np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
+    mesh = replace(PLATE, points=PLATE.points @ turn.T)
+    plane = am.Plane(turn @ [0.3, 0.0], turn @ [0.0, 1.0])
+    problem = plane_problem(contact=am.Contact("bottom", plane), supports=())
+    nodes = Posed.of(problem, mesh).contact
+    assert len(nodes) == 5
+    np.testing.assert_allclose(nodes.gaps, 0.0, atol=1e-12 * scale)
 
-    def test_gaps(self):
-        # the plane through (0, -1) rising at 45 degrees is met along its own normal
-        plane = am.Plane(point=(0.0, -3.0), normal=(-1.0, 1.0))
-        nodes = Posed.of(
-            plane_problem(contact=am.Contact("bottom", plane), supports=()), PLATE
-        ).contact
-        np.testing.assert_allclose(nodes.normals, np.tile([[1.0, -1.0]], (5, 1)) / np.sqrt(2))
-        np.testing.assert_allclose(nodes.gaps, (3.0 - PLATE.points[nodes.nodes, 0]) / np.sqrt(2))
-        _, behind = am.Plane((0.0, -1.0), (0.0, 2.0)).contact(
-            PLATE.points[:1] - [[0.0, 2.0]], nodes.normals[:1]
-        )
-        assert behind.tolist() == [-1.0]
-        # rounding is not an overlap
-        for gap, interference, least in (
-            (lambda x: np.full(len(x), -1e-14), False, 0.0),
-            (lambda x: 0.5 - x[:, 0], True, -1.5),
-        ):
-            contact = am.Contact("bottom", am.GapFunction(gap), allow_interference=interference)
-            assert Posed.of(plane_problem(contact=contact), PLATE).contact.gaps.min() == least
 
-    @pytest.mark.parametrize("order", [("bottom", "right"), ("right", "bottom")])
-    def test_common_node_belongs_to_the_boundary_named_first(self, order):
-        contact = tuple(am.Contact(name, TOUCHING) for name in order)
-        nodes = Posed.of(plane_problem(contact=contact, loads=(), supports=()), PLATE).contact
-        assert nodes.names == order
-        corner = np.flatnonzero((PLATE.points[nodes.nodes] == [2.0, 0.0]).all(axis=1))[0]
-        assert nodes.boundary[corner] == 0
-        expected = {"bottom": [0.0, -1.0], "right": [1.0, 0.0]}[order[0]]
-        np.testing.assert_allclose(nodes.normals[corner], expected)
-        # the edge round the corner does not face the obstacle: half an edge of the first boundary
-        # is the mass
-        assert nodes.weights[corner] == pytest.approx(0.25 if order[0] == "bottom" else 0.125)
+@pytest.mark.parametrize("angle", [0.1, 0.5, 0.9, 2.1, 4.1])
+def test_a_side_at_a_right_angle_to_a_plane_does_not_face_away(angle):
+    """It faces along the plane, but for rounding, which has either sign at turned sides."""
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    mesh = replace(PLATE, points=PLATE.points @ turn.T)
+    plane = am.Plane(turn @ [0.0, -0.5], turn @ [0.0, 1.0])
+    problem = plane_problem(contact=am.Contact("right", plane), supports=())
+    nodes = Posed.of(problem, mesh).contact
+    np.testing.assert_allclose(nodes.gaps, 0.5 + PLATE.points[nodes.nodes, 1], rtol=0, atol=1e-12)
 
-    def test_symmetry_planes_take_the_tilt_out_of_the_normal(self):
-        """A quarter of a ring with radii 1 (bottom) and 1/2, from x = 0 (left) on."""
-        flat = am.mesh.structured(am.Rectangle(width=1.0, height=1.0), (8, 3))
-        angle, radius = flat.points[:, 0] * np.pi / 2, 1 - flat.points[:, 1] / 2
-        points = np.column_stack([radius * np.sin(angle), -radius * np.cos(angle)])
-        points[flat.boundary_nodes("left"), 0] = 0.0
-        mesh = replace(flat, points=points)
-        nodes = Posed.of(
-            plane_problem(contact=am.Contact("bottom", TOUCHING), loads=()), mesh
-        ).contact
-        np.testing.assert_allclose(nodes.normals[:-1], mesh.points[nodes.nodes][:-1], atol=1e-12)
+
+def test_gaps_of_contact_nodes():
+    # the plane through (0, -1) rising at 45 degrees is met along its own normal
+    plane = am.Plane(point=(0.0, -3.0), normal=(-1.0, 1.0))
+    nodes = Posed.of(plane_problem(contact=am.Contact("bottom", plane), supports=()), PLATE).contact
+    np.testing.assert_allclose(nodes.normals, np.tile([[1.0, -1.0]], (5, 1)) / np.sqrt(2))
+    np.testing.assert_allclose(nodes.gaps, (3.0 - PLATE.points[nodes.nodes, 0]) / np.sqrt(2))
+    _, behind = am.Plane((0.0, -1.0), (0.0, 2.0)).contact(
+        PLATE.points[:1] - [[0.0, 2.0]], nodes.normals[:1]
+    )
+    assert behind.tolist() == [-1.0]
+    # rounding is not an overlap
+    for gap, interference, least in (
+        (lambda x: np.full(len(x), -1e-14), False, 0.0),
+        (lambda x: 0.5 - x[:, 0], True, -1.5),
+    ):
+        contact = am.Contact("bottom", am.GapFunction(gap), allow_interference=interference)
+        assert Posed.of(plane_problem(contact=contact), PLATE).contact.gaps.min() == least
+
+
+@pytest.mark.parametrize("order", [("bottom", "right"), ("right", "bottom")])
+def test_common_node_belongs_to_the_boundary_named_first(order):
+    contact = tuple(am.Contact(name, TOUCHING) for name in order)
+    nodes = Posed.of(plane_problem(contact=contact, loads=(), supports=()), PLATE).contact
+    assert nodes.names == order
+    corner = np.flatnonzero((PLATE.points[nodes.nodes] == [2.0, 0.0]).all(axis=1))[0]
+    assert nodes.boundary[corner] == 0
+    expected = {"bottom": [0.0, -1.0], "right": [1.0, 0.0]}[order[0]]
+    np.testing.assert_allclose(nodes.normals[corner], expected)
+    # the edge round the corner does not face the obstacle: half an edge of the first boundary
+    # is the mass
+    assert nodes.weights[corner] == pytest.approx(0.25 if order[0] == "bottom" else 0.125)
+
+
+def test_symmetry_planes_take_the_tilt_out_of_the_normal():
+    """A quarter of a ring with radii 1 (bottom) and 1/2, from x = 0 (left) on."""
+    flat = am.mesh.structured(am.Rectangle(width=1.0, height=1.0), (8, 3))
+    angle, radius = flat.points[:, 0] * np.pi / 2, 1 - flat.points[:, 1] / 2
+    points = np.column_stack([radius * np.sin(angle), -radius * np.cos(angle)])
+    points[flat.boundary_nodes("left"), 0] = 0.0
+    mesh = replace(flat, points=points)
+    nodes = Posed.of(plane_problem(contact=am.Contact("bottom", TOUCHING), loads=()), mesh).contact
+    np.testing.assert_allclose(nodes.normals[:-1], mesh.points[nodes.nodes][:-1], atol=1e-12)
 
 
 class Wrong:
@@ -174,44 +172,42 @@ def test_refusals(changes, message):
         _ = Posed.of(plane_problem(**changes), CRACKED).contact
 
 
-class TestDiscretise:
-    def test_what_the_problem_becomes(self):
-        problem = am.discretise(plane_problem(), PLATE)
-        assert problem.name == "plate, 25 nodes" and problem.n_dofs == 50
-        np.testing.assert_array_equal(problem.coordinates, PLATE.points)
-        assert problem.near_nullspace.shape == (50, 3) and problem.fixed.sum() == 5
-        assert problem.load.reshape(-1, 2).sum(axis=0) == pytest.approx([0.0, -2e5])
-        displacement = np.arange(PLATE.points.size, dtype=float).reshape(-1, 2)
-        contact = am.discretise(plane_problem(), PLATE, slip_reference=displacement).contact
-        np.testing.assert_array_equal(contact.slip_reference, displacement[contact.nodes])
-        with pytest.raises(ValueError, match=r"slip_reference must have shape \(\d+, 2\)"):
-            am.discretise(plane_problem(), PLATE, slip_reference=displacement[:3])
-        # laws become nodal
-        tresca = am.discretise(plane_problem(law=am.Tresca(lambda x: 1e3 * (1 + x[:, 0]))), PLATE)
-        np.testing.assert_allclose(
-            tresca.law.bounds(5)[0], 1e3 * tresca.contact.weights * [1.0, 1.5, 2.0, 2.5, 3.0]
-        )
-        coulomb = am.discretise(plane_problem(law=am.Coulomb(lambda x: x[:, 0] / 4)), PLATE)
-        np.testing.assert_allclose(coulomb.law.bounds(5)[1], [0.0, 0.125, 0.25, 0.375, 0.5])
-
-    test_refuses = staticmethod(
-        refused(
-            (
-                lambda: am.discretise(plane_problem(), BLOCK),
-                "the mesh is 3D, the problem 'plate' 2D",
-            ),
-            (lambda: am.discretise(PLATE, PLATE), TypeError, "problem must be a ContactProblem"),
-            (
-                lambda: am.discretise(plane_problem(), PLATE.source),
-                TypeError,
-                "mesh must be MeshArrays",
-            ),
-            (
-                lambda: am.discretise(plane_problem(loads=(am.Pressure("roof", 1.0),)), PLATE),
-                "'roof', used for a load, does",
-            ),
-        )
+def test_what_the_problem_becomes():
+    problem = am.discretise(plane_problem(), PLATE)
+    assert problem.name == "plate, 25 nodes" and problem.n_dofs == 50
+    np.testing.assert_array_equal(problem.coordinates, PLATE.points)
+    assert problem.near_nullspace.shape == (50, 3) and problem.fixed.sum() == 5
+    assert problem.load.reshape(-1, 2).sum(axis=0) == pytest.approx([0.0, -2e5])
+    displacement = np.arange(PLATE.points.size, dtype=float).reshape(-1, 2)
+    contact = am.discretise(plane_problem(), PLATE, slip_reference=displacement).contact
+    np.testing.assert_array_equal(contact.slip_reference, displacement[contact.nodes])
+    with pytest.raises(ValueError, match=r"slip_reference must have shape \(\d+, 2\)"):
+        am.discretise(plane_problem(), PLATE, slip_reference=displacement[:3])
+    # laws become nodal
+    tresca = am.discretise(plane_problem(law=am.Tresca(lambda x: 1e3 * (1 + x[:, 0]))), PLATE)
+    np.testing.assert_allclose(
+        tresca.law.bounds(5)[0], 1e3 * tresca.contact.weights * [1.0, 1.5, 2.0, 2.5, 3.0]
     )
+    coulomb = am.discretise(plane_problem(law=am.Coulomb(lambda x: x[:, 0] / 4)), PLATE)
+    np.testing.assert_allclose(coulomb.law.bounds(5)[1], [0.0, 0.125, 0.25, 0.375, 0.5])
+
+
+test_wrong_problems_and_meshes_are_refused = refused(
+    (
+        lambda: am.discretise(plane_problem(), BLOCK),
+        "the mesh is 3D, the problem 'plate' 2D",
+    ),
+    (lambda: am.discretise(PLATE, PLATE), TypeError, "problem must be a ContactProblem"),
+    (
+        lambda: am.discretise(plane_problem(), PLATE.source),
+        TypeError,
+        "mesh must be MeshArrays",
+    ),
+    (
+        lambda: am.discretise(plane_problem(loads=(am.Pressure("roof", 1.0),)), PLATE),
+        "'roof', used for a load, does",
+    ),
+)
 
 
 @pytest.mark.parametrize(

@@ -75,102 +75,102 @@ def flat(rng, *, overhang):
     return random_line(rng, rng.integers(1, 9), *ends), xm
 
 
-class TestFlat:
-    @settings(max_examples=50, deadline=None)
-    @given(
-        seed=SEEDS,
-        overhang=st.booleans(),
-        excluded=st.sampled_from([0.0, 0.4]),
-        gap=st.sampled_from([None, 0.0, 0.3, -0.05]),
+@settings(max_examples=50, deadline=None)
+@given(
+    seed=SEEDS,
+    overhang=st.booleans(),
+    excluded=st.sampled_from([0.0, 0.4]),
+    gap=st.sampled_from([None, 0.0, 0.3, -0.05]),
+)
+def test_flat_surfaces_pass_the_patch_test(seed, overhang, excluded, gap):
+    """Along a line in any direction, in axisymmetry (``gap`` is None) from the axis; some nodes
+    are excluded."""
+    rng, axisymmetric = np.random.default_rng(seed), gap is None
+    xs, xm = flat(rng, overhang=overhang and not axisymmetric)
+    out = np.flatnonzero(rng.random(len(xs)) < excluded)
+    carries = ~np.isin(np.arange(len(xs)), out)
+    points, slave, master, _ = two(line(xs, gap or 0.0), line(xm, up=True), seed=seed)
+    angle, shift = (
+        (rng.uniform(-1.2, 1.2), 0.0)
+        if axisymmetric
+        else (rng.uniform(0, 6), rng.uniform(-3, 3, 2))
     )
-    def test_patch(self, seed, overhang, excluded, gap):
-        """Along a line in any direction, in axisymmetry (``gap`` is None) from the axis; some nodes
-        are excluded."""
-        rng, axisymmetric = np.random.default_rng(seed), gap is None
-        xs, xm = flat(rng, overhang=overhang and not axisymmetric)
-        out = np.flatnonzero(rng.random(len(xs)) < excluded)
-        carries = ~np.isin(np.arange(len(xs)), out)
-        points, slave, master, _ = two(line(xs, gap or 0.0), line(xm, up=True), seed=seed)
-        angle, shift = (
-            (rng.uniform(-1.2, 1.2), 0.0)
-            if axisymmetric
-            else (rng.uniform(0, 6), rng.uniform(-3, 3, 2))
-        )
-        points = moved(points, angle, shift)
-        data = points, slave, master, node_normals(points, slave)
-        parts = covered_parts(xs, xm)
-        kept = [p for p in parts if carries[(k := np.searchsorted(xs, p.mean())) - 1] or carries[k]]
-        if not kept:
-            with pytest.raises(ValueError, match="excluded"):
-                mortar(*data, excluded=out, axisymmetric=axisymmetric)
-            return
-        found = mortar(*data, excluded=out, axisymmetric=axisymmetric)
-        assert (
-            not np.isin(found.nodes, out).any()
-            and not found.coupling[:, np.unique(slave)[carries]].count_nonzero()
-        )
-        # nodal forces of a uniform pressure: equal and opposite, with the same moments; where all
-        # is covered consistent
-        forces = -found.coupling.T @ found.weights
-        forces[found.nodes] += found.weights
-        measure = (
-            (lambda a, b: np.pi * np.cos(angle) * (b**2 - a**2))
-            if axisymmetric
-            else (lambda a, b: b - a)
-        )
-        covered = sum(measure(*part) for part in parts)  # edges without a multiplier too
-        assert (
-            forces[: len(xs)].sum()
-            == pytest.approx(covered)
-            == pytest.approx(-forces[len(xs) :].sum())
-        )
-        np.testing.assert_allclose(forces @ np.r_[xs, xm[::-1]], 0, atol=1e-12)
-        if not overhang and not len(out):
-            for nodes, sign, facets in (
-                (slice(0, len(xs)), 1, slave),
-                (slice(len(xs), None), -1, master),
-            ):
-                consistent = am.mesh.Surface(points, facets).lumped(axisymmetric)
-                np.testing.assert_allclose(sign * forces[nodes], consistent[nodes], atol=1e-12)
-        # linear fields, thus rigid motions, and the gap of a parallel offset, of all nodes that are
-        # followed
-        scale = 1e-12 * np.abs(found.coupling.data).max() + 1e-13 / np.min(
-            np.diff(parts) / np.diff(xs).max()
-        )
-        followed = 1 - found.coupling[:, out].sum(axis=1)
-        np.testing.assert_allclose(found.coupling.sum(axis=1), 1, atol=scale)
-        opposite = points[found.nodes] + (gap or 0.0) * followed[:, None] * found.normals
-        np.testing.assert_allclose(found.coupling @ points, opposite, atol=4 * scale)
-        np.testing.assert_allclose(found.gaps, (gap or 0.0) * followed, atol=4 * scale)
+    points = moved(points, angle, shift)
+    data = points, slave, master, node_normals(points, slave)
+    parts = covered_parts(xs, xm)
+    kept = [p for p in parts if carries[(k := np.searchsorted(xs, p.mean())) - 1] or carries[k]]
+    if not kept:
+        with pytest.raises(ValueError, match="excluded"):
+            mortar(*data, excluded=out, axisymmetric=axisymmetric)
+        return
+    found = mortar(*data, excluded=out, axisymmetric=axisymmetric)
+    assert (
+        not np.isin(found.nodes, out).any()
+        and not found.coupling[:, np.unique(slave)[carries]].count_nonzero()
+    )
+    # nodal forces of a uniform pressure: equal and opposite, with the same moments; where all
+    # is covered consistent
+    forces = -found.coupling.T @ found.weights
+    forces[found.nodes] += found.weights
+    measure = (
+        (lambda a, b: np.pi * np.cos(angle) * (b**2 - a**2))
+        if axisymmetric
+        else (lambda a, b: b - a)
+    )
+    covered = sum(measure(*part) for part in parts)  # edges without a multiplier too
+    assert (
+        forces[: len(xs)].sum() == pytest.approx(covered) == pytest.approx(-forces[len(xs) :].sum())
+    )
+    np.testing.assert_allclose(forces @ np.r_[xs, xm[::-1]], 0, atol=1e-12)
+    if not overhang and not len(out):
+        for nodes, sign, facets in (
+            (slice(0, len(xs)), 1, slave),
+            (slice(len(xs), None), -1, master),
+        ):
+            consistent = am.mesh.Surface(points, facets).lumped(axisymmetric)
+            np.testing.assert_allclose(sign * forces[nodes], consistent[nodes], atol=1e-12)
+    # linear fields, thus rigid motions, and the gap of a parallel offset, of all nodes that are
+    # followed
+    scale = 1e-12 * np.abs(found.coupling.data).max() + 1e-13 / np.min(
+        np.diff(parts) / np.diff(xs).max()
+    )
+    followed = 1 - found.coupling[:, out].sum(axis=1)
+    np.testing.assert_allclose(found.coupling.sum(axis=1), 1, atol=scale)
+    opposite = points[found.nodes] + (gap or 0.0) * followed[:, None] * found.normals
+    np.testing.assert_allclose(found.coupling @ points, opposite, atol=4 * scale)
+    np.testing.assert_allclose(found.gaps, (gap or 0.0) * followed, atol=4 * scale)
 
-    @pytest.mark.parametrize(("covered", "first"), [(0.95e-6, 1), (1.05e-6, 0)])
-    def test_less_coverage_is_dropped(self, covered, first):
-        xs, xm = np.linspace(0, 1, 6), np.array([0.2 * (1 - covered), 0.5, 1.0])
-        np.testing.assert_array_equal(
-            mortar(*two(line(xs), line(xm, up=True))).nodes, np.arange(first, 6)
-        )
 
-    @pytest.mark.parametrize("lean", [1e-7, 1e-5, 5e-3])
-    def test_walls_that_lean_by_the_digits_of_a_file_have_no_gaps(self, lean):
-        wall = np.array([[0.5 + 0.5 * lean, -0.5], [0.5, 0.0], [0.0, 0.0]])
-        slave, master = (moved(x, 0.7, (1.0, 2.0)) for x in (line(np.linspace(0, 1, 6)), wall))
-        found = mortar(*two(slave, master))
-        np.testing.assert_array_equal(found.nodes, range(4))
-        np.testing.assert_allclose(found.gaps, 0.0, atol=1e-12)
+@pytest.mark.parametrize(("covered", "first"), [(0.95e-6, 1), (1.05e-6, 0)])
+def test_less_coverage_is_dropped(covered, first):
+    xs, xm = np.linspace(0, 1, 6), np.array([0.2 * (1 - covered), 0.5, 1.0])
+    np.testing.assert_array_equal(
+        mortar(*two(line(xs), line(xm, up=True))).nodes, np.arange(first, 6)
+    )
 
-    def test_a_hole_in_the_master_surface(self):
-        xs, left, right = (
-            np.linspace(0, 1, 4),
-            np.array([0.0, 0.21, 0.4]),
-            np.array([0.55, 0.8, 1.0]),
-        )
-        points, slave, master, normals = two(line(xs), line(np.r_[left, right], up=True))
-        master = master[master[:, 0] != 6]  # the edge across the hole
-        found = mortar(points, slave, master, normals)
-        forces = (found.coupling.T @ found.weights)[4:]
-        np.testing.assert_allclose(
-            forces, am.mesh.Surface(points, master).lumped(False)[4:], atol=1e-13
-        )
+
+@pytest.mark.parametrize("lean", [1e-7, 1e-5, 5e-3])
+def test_walls_that_lean_by_the_digits_of_a_file_have_no_gaps(lean):
+    wall = np.array([[0.5 + 0.5 * lean, -0.5], [0.5, 0.0], [0.0, 0.0]])
+    slave, master = (moved(x, 0.7, (1.0, 2.0)) for x in (line(np.linspace(0, 1, 6)), wall))
+    found = mortar(*two(slave, master))
+    np.testing.assert_array_equal(found.nodes, range(4))
+    np.testing.assert_allclose(found.gaps, 0.0, atol=1e-12)
+
+
+def test_a_hole_in_the_master_surface():
+    xs, left, right = (
+        np.linspace(0, 1, 4),
+        np.array([0.0, 0.21, 0.4]),
+        np.array([0.55, 0.8, 1.0]),
+    )
+    points, slave, master, normals = two(line(xs), line(np.r_[left, right], up=True))
+    master = master[master[:, 0] != 6]  # the edge across the hole
+    found = mortar(points, slave, master, normals)
+    forces = (found.coupling.T @ found.weights)[4:]
+    np.testing.assert_allclose(
+        forces, am.mesh.Surface(points, master).lumped(False)[4:], atol=1e-13
+    )
 
 
 DATA = POINTS, SLAVE, MASTER, NORMALS = two(
@@ -270,79 +270,81 @@ def errors_of_rings(n):
     )
 
 
-class TestCurved:
-    @pytest.mark.parametrize("errors", [errors_on_a_plane, errors_of_rings])
-    def test_second_order(self, errors):
-        coarse, fine, finer = (errors(n) for n in (48, 96, 192))
-        assert (coarse > 3.3 * fine).all() and (fine > 3.6 * finer).all() and (finer < 1e-4).all()
+@pytest.mark.parametrize("errors", [errors_on_a_plane, errors_of_rings])
+def test_gaps_of_curved_surfaces_are_of_second_order(errors):
+    coarse, fine, finer = (errors(n) for n in (48, 96, 192))
+    assert (coarse > 3.3 * fine).all() and (fine > 3.6 * finer).all() and (finer < 1e-4).all()
 
-    @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
-    def test_the_nearest_surface_counts(self, order):
-        # floors at -0.5 and 0 and a step at 0.1, numbered in any order, below a slave surface at
-        # 0.2
-        steps = np.array([[1.0, -0.5], [0.0, -0.5], [1.0, 0.0], [0.0, 0.0], [0.6, 0.1], [0.4, 0.1]])
-        points, slave, _, normals = two(line(np.linspace(0, 1, 6), 0.2), steps)
-        master = np.array([[6, 7], [8, 9], [10, 11]])[list(order)]
-        found = mortar(points, slave, master, normals)
-        np.testing.assert_allclose(found.gaps, [0.2, 0.2, 0.15, 0.15, 0.2, 0.2], atol=1e-14)
-        assert not found.coupling[:, [6, 7]].count_nonzero()
-        # 0.02 below the top of the step overlap is nearer than the floor, 0.02 above the floor it
-        # is not
-        for height, gap in ((0.08, (0.08 - 0.02) / 2), (0.02, 0.02)):
-            points[:6, 1] = height
-            np.testing.assert_allclose(
-                mortar(points, slave, master, normals).gaps[2:4], gap, atol=1e-14
-            )
 
-    def test_distances_are_along_the_unit_normals(self):
-        points, tilt = (
-            np.array([[0.0, 1.0], [1.0, 1.0], [3.0, 0.0], [-2.0, 0.0]]),
-            np.array([-0.6, 0.4]),
-        )
-        normals = np.zeros((4, 2))
-        normals[:2] = np.column_stack([np.sin(tilt), -np.cos(tilt)])
-        found = mortar(points, np.array([[0, 1]]), np.array([[2, 3]]), normals)
-        s = (np.arange(2000)[:, None] + 0.5) / 2000
-        rays = (1 - s) * normals[0] + s * normals[1]
-        ahead = rays / -rays[:, 1:]
-        assert found.weights @ found.gaps == pytest.approx(
-            np.linalg.norm(ahead, axis=1).mean(), rel=1e-5
-        )
-        assert found.weights @ (found.coupling @ points)[:, 0] == pytest.approx(
-            (s + ahead)[:, 0].mean(), rel=1e-5
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_the_nearest_surface_counts(order):
+    # floors at -0.5 and 0 and a step at 0.1, numbered in any order, below a slave surface at
+    # 0.2
+    steps = np.array([[1.0, -0.5], [0.0, -0.5], [1.0, 0.0], [0.0, 0.0], [0.6, 0.1], [0.4, 0.1]])
+    points, slave, _, normals = two(line(np.linspace(0, 1, 6), 0.2), steps)
+    master = np.array([[6, 7], [8, 9], [10, 11]])[list(order)]
+    found = mortar(points, slave, master, normals)
+    np.testing.assert_allclose(found.gaps, [0.2, 0.2, 0.15, 0.15, 0.2, 0.2], atol=1e-14)
+    assert not found.coupling[:, [6, 7]].count_nonzero()
+    # 0.02 below the top of the step overlap is nearer than the floor, 0.02 above the floor it
+    # is not
+    for height, gap in ((0.08, (0.08 - 0.02) / 2), (0.02, 0.02)):
+        points[:6, 1] = height
+        np.testing.assert_allclose(
+            mortar(points, slave, master, normals).gaps[2:4], gap, atol=1e-14
         )
 
-    @settings(max_examples=25, deadline=None)
-    @given(seed=SEEDS)
-    def test_the_search_misses_nothing(self, seed):
-        rng = np.random.default_rng(seed)
-        t, s = (
-            random_line(rng, rng.integers(2, 25)),
-            random_line(rng, rng.integers(2, 25), -0.3, 1.2),
-        )
-        lift = rng.uniform(-0.1, 0.4)
-        data = two(
-            line(t, lift + 0.1 * np.sin(9 * t + lift)),
-            line(s, 0.1 * np.cos(7 * s), up=True),
-            seed=seed,
-        )
 
-        def everything(surfaces, backward, forward):
-            i, j = np.indices((len(surfaces.slave), len(surfaces.master)))
-            return i.ravel(), j.ravel()
+def test_distances_are_along_the_unit_normals():
+    points, tilt = (
+        np.array([[0.0, 1.0], [1.0, 1.0], [3.0, 0.0], [-2.0, 0.0]]),
+        np.array([-0.6, 0.4]),
+    )
+    normals = np.zeros((4, 2))
+    normals[:2] = np.column_stack([np.sin(tilt), -np.cos(tilt)])
+    found = mortar(points, np.array([[0, 1]]), np.array([[2, 3]]), normals)
+    s = (np.arange(2000)[:, None] + 0.5) / 2000
+    rays = (1 - s) * normals[0] + s * normals[1]
+    ahead = rays / -rays[:, 1:]
+    assert found.weights @ found.gaps == pytest.approx(
+        np.linalg.norm(ahead, axis=1).mean(), rel=1e-5
+    )
+    assert found.weights @ (found.coupling @ points)[:, 0] == pytest.approx(
+        (s + ahead)[:, 0].mean(), rel=1e-5
+    )
 
-        reach = [None, 0.05, 3.0][seed % 3]
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module, "_edges_near", everything)
-            try:
-                expected = mortar(*data, reach=reach)
-            except ValueError:
-                expected = None
-        if expected is None:
-            with pytest.raises(ValueError, match="surfaces"):
-                mortar(*data, reach=reach)
-            return
-        assert_same(mortar(*data, reach=reach), expected)
+
+@settings(max_examples=25, deadline=None)
+@given(seed=SEEDS)
+def test_the_search_misses_nothing(seed):
+    rng = np.random.default_rng(seed)
+    t, s = (
+        random_line(rng, rng.integers(2, 25)),
+        random_line(rng, rng.integers(2, 25), -0.3, 1.2),
+    )
+    lift = rng.uniform(-0.1, 0.4)
+    data = two(
+        line(t, lift + 0.1 * np.sin(9 * t + lift)),
+        line(s, 0.1 * np.cos(7 * s), up=True),
+        seed=seed,
+    )
+
+    def everything(surfaces, backward, forward):
+        i, j = np.indices((len(surfaces.slave), len(surfaces.master)))
+        return i.ravel(), j.ravel()
+
+    reach = [None, 0.05, 3.0][seed % 3]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_edges_near", everything)
+        try:
+            expected = mortar(*data, reach=reach)
+        except ValueError:
+            expected = None
+    if expected is None:
+        with pytest.raises(ValueError, match="surfaces"):
+            mortar(*data, reach=reach)
+        return
+    assert_same(mortar(*data, reach=reach), expected)
 
 
 # -- node to node (in space: test_mortar_3d) -----------------------------------------------------------------------

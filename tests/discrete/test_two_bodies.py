@@ -12,126 +12,121 @@ from saddle import Parts
 import adaptmg as am
 
 
-class TestPatch:
-    @DIMS
-    @pytest.mark.parametrize(
-        "pairs",
-        [
-            (a, b)
-            for a in (("upper.bottom", "middle.top"), ("middle.top", "upper.bottom"))
-            for b in (("middle.bottom", "lower.top"), ("lower.top", "middle.bottom"))
-        ],
+@DIMS
+@pytest.mark.parametrize(
+    "pairs",
+    [
+        (a, b)
+        for a in (("upper.bottom", "middle.top"), ("middle.top", "upper.bottom"))
+        for b in (("middle.bottom", "lower.top"), ("lower.top", "middle.bottom"))
+    ],
+)
+def test_three_blocks_pass_the_patch_test(dim, pairs):
+    mesh = bodies.stacked(
+        [(4, 2), (7, 3), (3, 2)] if dim == 2 else [(3, 1, 1), (2, 2, 1), (1, 3, 2)]
     )
-    def test_three_blocks(self, dim, pairs):
-        mesh = bodies.stacked(
-            [(4, 2), (7, 3), (3, 2)] if dim == 2 else [(3, 1, 1), (2, 2, 1), (1, 3, 2)]
+    materials = (*MATERIALS[dim][::-1], MATERIALS[dim][1])
+    result = am.solve(am.Hierarchy.from_meshes(bodies.pressed(mesh, pairs, materials), mesh), EXACT)
+    bodies.assert_state(result, bodies.uniaxial(mesh, materials))
+    assert set(result.contact.pair) == {" on ".join(pair) for pair in pairs}
+    for slave, master in pairs:
+        force = P if slave.endswith("bottom") else -P
+        assert result.resultant(slave).force == pytest.approx(
+            [*[0] * (dim - 1), force], rel=1e-9, abs=1e-11 * P
         )
-        materials = (*MATERIALS[dim][::-1], MATERIALS[dim][1])
-        result = am.solve(
-            am.Hierarchy.from_meshes(bodies.pressed(mesh, pairs, materials), mesh), EXACT
-        )
-        bodies.assert_state(result, bodies.uniaxial(mesh, materials))
-        assert set(result.contact.pair) == {" on ".join(pair) for pair in pairs}
-        for slave, master in pairs:
-            force = P if slave.endswith("bottom") else -P
-            assert result.resultant(slave).force == pytest.approx(
-                [*[0] * (dim - 1), force], rel=1e-9, abs=1e-11 * P
-            )
-            moment = -force / 2 if dim == 2 else [-force / 2, force / 2, 0]
-            assert result.resultant(master).moment == pytest.approx(moment, rel=1e-9, abs=1e-9 * P)
-
-    @PAIRS
-    @pytest.mark.parametrize("inner", [0.0, 0.3], ids=["disks", "rings"])
-    def test_axisymmetric(self, inner, pair):
-        materials = [am.Axisymmetric(**vars(m)) for m in MATERIALS[2]]
-        flat = bodies.stacked([(4, 2), (7, 3)])
-        mesh = replace(flat, points=flat.points + np.array([inner, 0.0]))
-        problem = bodies.pressed(mesh, [pair], materials)
-        held = problem.supports if inner == 0 else problem.supports[:1]
-        result = am.solve(am.Hierarchy.from_meshes(replace(problem, supports=held), [mesh]), EXACT)
-        bodies.assert_state(result, bodies.uniaxial(mesh, materials))
-        force = np.pi * ((1 + inner) ** 2 - inner**2) * P
-        assert result.resultant("lower.top").force[1] == pytest.approx(-force, rel=1e-11)
+        moment = -force / 2 if dim == 2 else [-force / 2, force / 2, 0]
+        assert result.resultant(master).moment == pytest.approx(moment, rel=1e-9, abs=1e-9 * P)
 
 
-class TestCorner:
-    @pytest.mark.parametrize(
-        "order", [("floor", "wall", "cap"), ("wall", "floor", "cap"), ("cap", "wall", "floor")]
+@PAIRS
+@pytest.mark.parametrize("inner", [0.0, 0.3], ids=["disks", "rings"])
+def test_disks_and_rings_pass_the_patch_test(inner, pair):
+    materials = [am.Axisymmetric(**vars(m)) for m in MATERIALS[2]]
+    flat = bodies.stacked([(4, 2), (7, 3)])
+    mesh = replace(flat, points=flat.points + np.array([inner, 0.0]))
+    problem = bodies.pressed(mesh, [pair], materials)
+    held = problem.supports if inner == 0 else problem.supports[:1]
+    result = am.solve(am.Hierarchy.from_meshes(replace(problem, supports=held), [mesh]), EXACT)
+    bodies.assert_state(result, bodies.uniaxial(mesh, materials))
+    force = np.pi * ((1 + inner) ** 2 - inner**2) * P
+    assert result.resultant("lower.top").force[1] == pytest.approx(-force, rel=1e-11)
+
+
+@pytest.mark.parametrize(
+    "order", [("floor", "wall", "cap"), ("wall", "floor", "cap"), ("cap", "wall", "floor")]
+)
+def test_bodies_in_a_row(order):
+    mesh, problem, exact = bodies.in_the_corner(order, am.Coulomb(0.3))
+    a, b = bodies.far_node(mesh, "seat", (-1, -1)), bodies.far_node(mesh, "seat", (1, -1))
+    discrete = bodies.held_at_points(problem, mesh, exact, [(a, 0), (a, 1), (b, 1)])
+    weights, contact = discrete.coupling.weights, discrete.contact
+    # the corner of the block belongs to the pair named first; in the other it is a plain node
+    corner = np.flatnonzero(
+        (mesh.points == 0).all(axis=1)
+        & (np.arange(mesh.n_nodes) >= np.min(mesh.elements[mesh.element_body == 1]))
+    )[0]
+    at = np.flatnonzero(contact.nodes == corner)
+    first, second = (name for name in order if name != "cap")
+    assert len(at) == 1 and contact.boundary[at[0]] == order.index(first)
+    np.testing.assert_allclose(
+        contact.normals[at[0]], (0, -1) if first == "floor" else (-1, 0), atol=1e-15
     )
-    def test_bodies_in_a_row(self, order):
-        mesh, problem, exact = bodies.in_the_corner(order, am.Coulomb(0.3))
-        a, b = bodies.far_node(mesh, "seat", (-1, -1)), bodies.far_node(mesh, "seat", (1, -1))
-        discrete = bodies.held_at_points(problem, mesh, exact, [(a, 0), (a, 1), (b, 1)])
-        weights, contact = discrete.coupling.weights, discrete.contact
-        # the corner of the block belongs to the pair named first; in the other it is a plain node
-        corner = np.flatnonzero(
-            (mesh.points == 0).all(axis=1)
-            & (np.arange(mesh.n_nodes) >= np.min(mesh.elements[mesh.element_body == 1]))
-        )[0]
-        at = np.flatnonzero(contact.nodes == corner)
-        first, second = (name for name in order if name != "cap")
-        assert len(at) == 1 and contact.boundary[at[0]] == order.index(first)
-        np.testing.assert_allclose(
-            contact.normals[at[0]], (0, -1) if first == "floor" else (-1, 0), atol=1e-15
+    assert weights[contact.nodes[contact.boundary == order.index(second)]][:, corner].nnz == 1
+    # a node of the cap follows the corner of the block, which follows the wall
+    assert (weights @ weights).nnz
+    result = am.solve(am.Hierarchy((am.Level(discrete, mesh),)), EXACT)
+    bodies.assert_state(result, exact)
+    for slave, master, force in (
+        ("block.bottom", "seat.floor", (0, P)),
+        ("block.left", "seat.wall", (P, 0)),
+        ("cap.bottom", "block.top", (0, P)),
+    ):
+        assert result.resultant(slave).force == pytest.approx(force, rel=1e-9, abs=1e-9 * P)
+        assert result.resultant(master).force == pytest.approx(
+            -np.array(force), rel=1e-9, abs=1e-9 * P
         )
-        assert weights[contact.nodes[contact.boundary == order.index(second)]][:, corner].nnz == 1
-        # a node of the cap follows the corner of the block, which follows the wall
-        assert (weights @ weights).nnz
-        result = am.solve(am.Hierarchy((am.Level(discrete, mesh),)), EXACT)
-        bodies.assert_state(result, exact)
-        for slave, master, force in (
-            ("block.bottom", "seat.floor", (0, P)),
-            ("block.left", "seat.wall", (P, 0)),
-            ("cap.bottom", "block.top", (0, P)),
-        ):
-            assert result.resultant(slave).force == pytest.approx(force, rel=1e-9, abs=1e-9 * P)
-            assert result.resultant(master).force == pytest.approx(
-                -np.array(force), rel=1e-9, abs=1e-9 * P
-            )
-        np.testing.assert_allclose(result.resultant("contact").force, [P, 2 * P], rtol=1e-9)
+    np.testing.assert_allclose(result.resultant("contact").force, [P, 2 * P], rtol=1e-9)
 
 
-class TestHierarchies:
-    def test_bisected_given_and_algebraic_levels_and_one_level(self):
-        """The same solution of all, and less to ask where there is no mesh."""
-        problem = bodies.bar_on_block(am.Coulomb(0.5))
-        meshes = [am.mesh.structured(problem.domain, {"upper": k, "lower": k + 1}) for k in (3, 6)]
-        given = am.Hierarchy.from_meshes(replace(problem, domain=None), meshes, transfer=am.L2())
-        coarsest = am.mesh.structured(problem.domain, {"upper": 3, "lower": (5, 4)})
-        bisected = am.Hierarchy.from_meshes(
-            problem, am.mesh.refine_near(coarsest, problem.pair_boundaries, 3)
-        )
-        algebraic = am.Hierarchy.algebraic(given.finest.discrete, max_coarse=60)
-        for grids, solver in (
-            (bisected, am.FullMultigrid()),
-            (bisected, am.Multigrid()),
-            (given, am.FullMultigrid()),
-            (given, am.Multigrid()),
-            (algebraic, am.Multigrid()),
-        ):
-            result = am.solve(grids, solver, reference=am.solve(grids, EXACT))
-            assert result.history["true_error"][-1] <= 3e-8 and result.cycles <= 40
-        result = am.solve(given, EXACT)
-        single = am.solve(given.finest.discrete, am.SingleGrid(condensed=True, rtol=1e-11))
-        np.testing.assert_allclose(
-            single.displacement, result.displacement, atol=1e-8 * np.abs(result.displacement).max()
-        )
-        for name in UPPER_ON_LOWER:
-            assert single.resultant(name).force == pytest.approx(result.resultant(name).force)
-        with pytest.raises(ValueError, match=r"'lower.bottom' is not known"):
-            single.resultant("lower.bottom")
+def test_bisected_given_and_algebraic_levels_and_one_level():
+    """The same solution of all, and less to ask where there is no mesh."""
+    problem = bodies.bar_on_block(am.Coulomb(0.5))
+    meshes = [am.mesh.structured(problem.domain, {"upper": k, "lower": k + 1}) for k in (3, 6)]
+    given = am.Hierarchy.from_meshes(replace(problem, domain=None), meshes, transfer=am.L2())
+    coarsest = am.mesh.structured(problem.domain, {"upper": 3, "lower": (5, 4)})
+    bisected = am.Hierarchy.from_meshes(
+        problem, am.mesh.refine_near(coarsest, problem.pair_boundaries, 3)
+    )
+    algebraic = am.Hierarchy.algebraic(given.finest.discrete, max_coarse=60)
+    for grids, solver in (
+        (bisected, am.FullMultigrid()),
+        (bisected, am.Multigrid()),
+        (given, am.FullMultigrid()),
+        (given, am.Multigrid()),
+        (algebraic, am.Multigrid()),
+    ):
+        result = am.solve(grids, solver, reference=am.solve(grids, EXACT))
+        assert result.history["true_error"][-1] <= 3e-8 and result.cycles <= 40
+    result = am.solve(given, EXACT)
+    single = am.solve(given.finest.discrete, am.SingleGrid(condensed=True, rtol=1e-11))
+    np.testing.assert_allclose(
+        single.displacement, result.displacement, atol=1e-8 * np.abs(result.displacement).max()
+    )
+    for name in UPPER_ON_LOWER:
+        assert single.resultant(name).force == pytest.approx(result.resultant(name).force)
+    with pytest.raises(ValueError, match=r"'lower.bottom' is not known"):
+        single.resultant("lower.bottom")
 
-    def test_forces_balance_where_supports_drag_a_body(self):
-        """At the corner both are held, and friction there passes from one support to the other."""
-        problem = bodies.bar_on_block(am.Coulomb(0.5))
-        moved = replace(
-            problem, supports=(am.Support("upper.right", x=2e-4), *problem.supports[1:])
-        )
-        result = am.solve(am.Hierarchy.uniform(moved, [{"upper": 4, "lower": (5, 4)}]), EXACT)
-        corner = np.argmax(result.contact.x[:, 0])
-        upper, lower = (result.resultant(name).force for name in ("upper.bottom", "lower.top"))
-        assert np.abs(result.contact.force_t[corner]) > 1e-3 * np.abs(upper[0])
-        np.testing.assert_allclose(upper, -lower, rtol=1e-10)
+
+def test_forces_balance_where_supports_drag_a_body():
+    """At the corner both are held, and friction there passes from one support to the other."""
+    problem = bodies.bar_on_block(am.Coulomb(0.5))
+    moved = replace(problem, supports=(am.Support("upper.right", x=2e-4), *problem.supports[1:]))
+    result = am.solve(am.Hierarchy.uniform(moved, [{"upper": 4, "lower": (5, 4)}]), EXACT)
+    corner = np.argmax(result.contact.x[:, 0])
+    upper, lower = (result.resultant(name).force for name in ("upper.bottom", "lower.top"))
+    assert np.abs(result.contact.force_t[corner]) > 1e-3 * np.abs(upper[0])
+    np.testing.assert_allclose(upper, -lower, rtol=1e-10)
 
 
 def block_on_slab(law, pair=UPPER_ON_LOWER, **options):

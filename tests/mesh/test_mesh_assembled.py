@@ -55,73 +55,71 @@ def off_circle(
     return np.abs(distance / radius - 1).max()
 
 
-class TestOutline:
-    @pytest.mark.parametrize("ratio", [1, 100])
-    def test_mixed_edges(self, ratio):
-        mesh = am.mesh.check_mesh(am.mesh.graded(RING, 0.4, "in", ratio), RING.boundaries)
-        assert mesh.boundaries == ("x", "out", "top", "y", "in") and mesh.bodies == ("body",)
-        assert all((mesh.points == vertex).all(axis=1).sum() == 1 for vertex in RING.vertices)
-        inner = mesh.points[mesh.boundary_nodes("in")]
-        arc = inner[inner[:, 0] > 0]
-        straight = inner[inner[:, 0] <= 0]
-        np.testing.assert_allclose(np.linalg.norm(arc, axis=1), 1, rtol=1e-15)
-        np.testing.assert_allclose(distance_to_boundaries(RING, ["in"], straight), 0, atol=1e-15)
-        outer = mesh.points[mesh.boundary_nodes("out")]
-        assert (outer[outer[:, 1] < 1, 0] == 2).all()
-        curved = outer[outer[:, 1] > 1]
-        np.testing.assert_allclose(np.linalg.norm(curved - [0, 1], axis=1), 2, rtol=1e-15)
-        relative = edge_lengths(mesh, "in") * ratio / 0.4
-        assert relative.max() < 1.5 and relative.min() > 0.4
-        assert am.mesh.quality(mesh).min_angle > 15
+@pytest.mark.parametrize("ratio", [1, 100])
+def test_mixed_edges(ratio):
+    mesh = am.mesh.check_mesh(am.mesh.graded(RING, 0.4, "in", ratio), RING.boundaries)
+    assert mesh.boundaries == ("x", "out", "top", "y", "in") and mesh.bodies == ("body",)
+    assert all((mesh.points == vertex).all(axis=1).sum() == 1 for vertex in RING.vertices)
+    inner = mesh.points[mesh.boundary_nodes("in")]
+    arc = inner[inner[:, 0] > 0]
+    straight = inner[inner[:, 0] <= 0]
+    np.testing.assert_allclose(np.linalg.norm(arc, axis=1), 1, rtol=1e-15)
+    np.testing.assert_allclose(distance_to_boundaries(RING, ["in"], straight), 0, atol=1e-15)
+    outer = mesh.points[mesh.boundary_nodes("out")]
+    assert (outer[outer[:, 1] < 1, 0] == 2).all()
+    curved = outer[outer[:, 1] > 1]
+    np.testing.assert_allclose(np.linalg.norm(curved - [0, 1], axis=1), 2, rtol=1e-15)
+    relative = edge_lengths(mesh, "in") * ratio / 0.4
+    assert relative.max() < 1.5 and relative.min() > 0.4
+    assert am.mesh.quality(mesh).min_angle > 15
 
-    def test_crossing_outlines_are_refused(self):
-        # the arc dips through the edge opposite
-        with pytest.raises(ValueError, match=r"edges 0 \('b'\) and 2 \('t'\) meet"):
-            am.Outline(
-                vertices=((0, 0), (4, 0), (4, 0.5), (0, 0.5)),
-                boundaries=("b", "r", "t", "l"),
-                arcs={2: (2, 4)},
+
+def test_crossing_outlines_are_refused():
+    # the arc dips through the edge opposite
+    with pytest.raises(ValueError, match=r"edges 0 \('b'\) and 2 \('t'\) meet"):
+        am.Outline(
+            vertices=((0, 0), (4, 0), (4, 0.5), (0, 0.5)),
+            boundaries=("b", "r", "t", "l"),
+            arcs={2: (2, 4)},
+        )
+    # or through a neighbour, near the vertex they share, wherever that lies
+    rng = np.random.default_rng()
+    for _ in range(20):
+        turn, part, centre = (
+            rng.uniform(0, 7),
+            10 ** rng.uniform(-6, -0.5),
+            rng.uniform(-9, 9, 2),
+        )
+        first, last, tangent = (
+            np.array([np.cos(a), np.sin(a)]) for a in (turn, turn + 1, turn + 0.5 * np.pi)
+        )
+        around = [
+            4 * np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ tangent
+            for a in (2.0, 4.0, 0.5 * part)
+        ]
+        vertices = [centre + p for p in (first, last, *(first + p for p in around))]
+        with pytest.raises(ValueError, match=r"edges 0 \('b'\) and 4 \('l'\) meet"):
+            am.Outline(vertices=vertices, boundaries=("b", "r", "t", "s", "l"), arcs={0: centre})
+
+
+def test_holes_outside_the_outer_edge_are_refused():
+    for x in (5.0, 0.0):
+        hole = ((x + 1, 1), (x + 1, 2), (x + 2, 2), (x + 2, 1))
+        corners = (((0, 0), (4, 0), (4, 4), (0, 4)), hole)
+        if x:
+            with pytest.raises(
+                ValueError, match="holes: the hole from vertex 4 on lies outside the outer edge"
+            ):
+                am.Outline(vertices=sum(corners, ()), boundaries=("a",) * 8, holes=(4,))
+        else:
+            assert (
+                am.Outline(vertices=sum(corners, ()), boundaries=("a",) * 8, holes=(4,)).area == 15
             )
-        # or through a neighbour, near the vertex they share, wherever that lies
-        rng = np.random.default_rng()
-        for _ in range(20):
-            turn, part, centre = (
-                rng.uniform(0, 7),
-                10 ** rng.uniform(-6, -0.5),
-                rng.uniform(-9, 9, 2),
-            )
-            first, last, tangent = (
-                np.array([np.cos(a), np.sin(a)]) for a in (turn, turn + 1, turn + 0.5 * np.pi)
-            )
-            around = [
-                4 * np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ tangent
-                for a in (2.0, 4.0, 0.5 * part)
-            ]
-            vertices = [centre + p for p in (first, last, *(first + p for p in around))]
-            with pytest.raises(ValueError, match=r"edges 0 \('b'\) and 4 \('l'\) meet"):
+            inner = tuple((1.25 + 0.5 * (p - 1), 1.25 + 0.5 * (q - 1)) for p, q in hole)
+            with pytest.raises(ValueError, match="or in another hole"):
                 am.Outline(
-                    vertices=vertices, boundaries=("b", "r", "t", "s", "l"), arcs={0: centre}
+                    vertices=sum((*corners, inner), ()), boundaries=("a",) * 12, holes=(4, 8)
                 )
-
-    def test_holes_outside_the_outer_edge_are_refused(self):
-        for x in (5.0, 0.0):
-            hole = ((x + 1, 1), (x + 1, 2), (x + 2, 2), (x + 2, 1))
-            corners = (((0, 0), (4, 0), (4, 4), (0, 4)), hole)
-            if x:
-                with pytest.raises(
-                    ValueError, match="holes: the hole from vertex 4 on lies outside the outer edge"
-                ):
-                    am.Outline(vertices=sum(corners, ()), boundaries=("a",) * 8, holes=(4,))
-            else:
-                assert (
-                    am.Outline(vertices=sum(corners, ()), boundaries=("a",) * 8, holes=(4,)).area
-                    == 15
-                )
-                inner = tuple((1.25 + 0.5 * (p - 1), 1.25 + 0.5 * (q - 1)) for p, q in hole)
-                with pytest.raises(ValueError, match="or in another hole"):
-                    am.Outline(
-                        vertices=sum((*corners, inner), ()), boundaries=("a",) * 12, holes=(4, 8)
-                    )
 
 
 def test_each_body_is_meshed_apart_and_without_contact_alone():
@@ -150,30 +148,30 @@ def test_each_body_is_meshed_apart_and_without_contact_alone():
     )
 
 
-class TestSizedAssembly:
-    def test_fine_where_balls_touch(self):
-        h, radius = 1e-5, 2e-4
-        mesh = am.mesh.sized(BALL_ON_BLOCK, am.SizeNear([(0.0, 0.0)], size=h, radius=radius), 1e-3)
-        for name in ("ball.arc", "block.top"):
-            facets = mesh.boundary_facets(name)
-            near = np.linalg.norm(mesh.points[facets].mean(axis=1), axis=1) < radius
-            assert near.sum() > 15 and 0.45 * h < edge_lengths(mesh, name)[near].min()
-            assert edge_lengths(mesh, name)[near].max() < 1.45 * h
-        assert off_circle(mesh, "ball.arc", (0, 8e-3), 8e-3) < 1e-15
-        assert (
-            mesh.n_nodes < 4000
-            and am.mesh.quality(mesh).min_angle > 15
-            and am.mesh.quality(mesh).h_max > 0.7e-3
-        )
+def test_fine_where_balls_touch():
+    h, radius = 1e-5, 2e-4
+    mesh = am.mesh.sized(BALL_ON_BLOCK, am.SizeNear([(0.0, 0.0)], size=h, radius=radius), 1e-3)
+    for name in ("ball.arc", "block.top"):
+        facets = mesh.boundary_facets(name)
+        near = np.linalg.norm(mesh.points[facets].mean(axis=1), axis=1) < radius
+        assert near.sum() > 15 and 0.45 * h < edge_lengths(mesh, name)[near].min()
+        assert edge_lengths(mesh, name)[near].max() < 1.45 * h
+    assert off_circle(mesh, "ball.arc", (0, 8e-3), 8e-3) < 1e-15
+    assert (
+        mesh.n_nodes < 4000
+        and am.mesh.quality(mesh).min_angle > 15
+        and am.mesh.quality(mesh).h_max > 0.7e-3
+    )
 
-    def test_size_near(self):
-        field = am.SizeNear([(0, 0), (4, 0)], size=0.1, radius=1.0, grading=0.5)
-        places = np.array([[0.5, 0], [2, 0], [4, 3]])
-        np.testing.assert_allclose(field(places), [0.1, 0.6, 1.1])
-        assert hash(field) == hash(
-            am.SizeNear(((0.0, 0.0), (4.0, 0.0)), size=0.1, radius=1.0, grading=0.5)
-        )
-        np.testing.assert_allclose(field.scaled(0.3)(places), 0.3 * field(places), rtol=1e-14)
+
+def test_size_near():
+    field = am.SizeNear([(0, 0), (4, 0)], size=0.1, radius=1.0, grading=0.5)
+    places = np.array([[0.5, 0], [2, 0], [4, 3]])
+    np.testing.assert_allclose(field(places), [0.1, 0.6, 1.1])
+    assert hash(field) == hash(
+        am.SizeNear(((0.0, 0.0), (4.0, 0.0)), size=0.1, radius=1.0, grading=0.5)
+    )
+    np.testing.assert_allclose(field.scaled(0.3)(places), 0.3 * field(places), rtol=1e-14)
 
 
 test_refuses = refused(

@@ -62,147 +62,149 @@ def polygon(n: int = 4, names: str = "abcd", turn: int = 1) -> am.Polygon:
     )
 
 
-class TestLaws:
-    @pytest.mark.parametrize(
-        ("law", "limit", "friction"),
-        [
-            (am.Tresca(lambda x: 10.0 * x[:, 0]), [0.0, 10.0, 10.0], 0.0),
-            (am.Coulomb(lambda x: 0.1 + x[:, 0]), 0.0, [0.1, 1.1, 2.1]),
-            (am.Frictionless(), 0.0, 0.0),
-        ],
+@pytest.mark.parametrize(
+    ("law", "limit", "friction"),
+    [
+        (am.Tresca(lambda x: 10.0 * x[:, 0]), [0.0, 10.0, 10.0], 0.0),
+        (am.Coulomb(lambda x: 0.1 + x[:, 0]), 0.0, [0.1, 1.1, 2.1]),
+        (am.Frictionless(), 0.0, 0.0),
+    ],
+)
+def test_functions_are_taken_at_nodes_tractions_become_forces(law, limit, friction):
+    points, weights = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), np.array([0.5, 1.0, 0.5])
+    bounds = law.at_nodes(points, weights).bounds(3)
+    for values, expected in zip(bounds, (limit, friction), strict=True):
+        np.testing.assert_allclose(values, np.broadcast_to(expected, 3))
+
+
+# a plate with a quarter of a hole: the arc runs clockwise about its centre
+HOLE = am.Outline(
+    vertices=((1, 0), (3, 0), (3, 3), (0, 3), (0, 1)),
+    boundaries=("x", "r", "t", "y", "hole"),
+    arcs={4: (0, 0)},
+)
+
+
+def test_bounding_boxes():
+    ball = am.Outline(
+        vertices=[(3 * math.cos(a), 1 + 3 * math.sin(a)) for a in np.radians([10, 130, 250])],
+        boundaries=("s",) * 3,
+        arcs=dict.fromkeys(range(3), (0.0, 1.0)),
     )
-    def test_functions_are_taken_at_nodes_tractions_become_forces(self, law, limit, friction):
-        points, weights = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), np.array([0.5, 1.0, 0.5])
-        bounds = law.at_nodes(points, weights).bounds(3)
-        for values, expected in zip(bounds, (limit, friction), strict=True):
-            np.testing.assert_allclose(values, np.broadcast_to(expected, 3))
+    ring = am.Revolution(am.Rectangle(width=1, height=2, origin=(1, 0)), angle=90)
+    cylinder = am.Cylinder((0, 0, 1), (0, 3, 0), 1, 2)
+    for domain, lower, upper in (
+        (am.Box(width=1, depth=2, height=3, origin=(1, 0, 0)), [1, 0, 0], [2, 2, 3]),
+        (TWO, [0, -1], [2, 1]),
+        (ball, [-3, -2], [3, 4]),
+        (cylinder, [-1, 0, 0], [1, 2, 2]),
+        (ring, [0, 0, 0], [2, 2, 2]),
+        (am.Ball((1, 2, 3), 1), [0, 1, 2], [2, 3, 4]),
+        (am.Extrusion(HOLE, 2, -1), [0, 0, -1], [3, 3, 1]),
+        (am.Moved(cylinder, offset=(1, 0, 0), angle=90), [-1, -1, 0], [1, 1, 2]),
+        (am.Fuse(cylinder, am.Ball((0, 0, 0), 2)), [-2, -2, -2], [2, 2, 2]),
+        (am.Common(cylinder, am.Ball((0, 0, 0), 2)), [-1, 0, 0], [1, 2, 2]),
+        (am.Cut(cylinder, am.Ball((0, 0, 0), 2)), [-1, 0, 0], [1, 2, 2]),
+    ):
+        np.testing.assert_allclose(
+            [domain.lower, domain.upper], [lower, upper], rtol=1e-14, atol=1e-14
+        )
+    assert ball.area == pytest.approx(9 * math.pi)
 
 
-class TestDomains:
-    # a plate with a quarter of a hole: the arc runs clockwise about its centre
-    HOLE = am.Outline(
-        vertices=((1, 0), (3, 0), (3, 3), (0, 3), (0, 1)),
-        boundaries=("x", "r", "t", "y", "hole"),
-        arcs={4: (0, 0)},
+def test_area_and_lengths_are_exact():
+    assert HALF.area == pytest.approx(math.pi, rel=1e-14) and HALF.lengths == pytest.approx(
+        (math.pi, 2.0, 2.0)
+    )
+    assert HOLE.area == pytest.approx(9 - math.pi / 4, rel=1e-14)
+    assert HOLE.arc(4).angle < 0 < HALF.arc(0).angle and HOLE.arc(0) is None
+
+
+def test_chords_are_inscribed():
+    chords, edges, _ = HALF.chords()
+    np.testing.assert_allclose(np.linalg.norm(chords[edges == 0] - [0, 2], axis=1), 2, rtol=1e-15)
+    x, y = chords.T
+    assert 0.998 * HALF.area < 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < HALF.area
+    assert np.bincount(edges).tolist() == [30, 1, 1]
+
+
+def test_distance_to_an_arc():
+    points = np.array([[0.0, 2.0], [3.0, -1.0], [0.0, -1.0], [0.0, 3.0], [-1.0, 0.0]])
+    np.testing.assert_allclose(
+        HALF.arc(0).distance(points), [2.0, 3 * math.sqrt(2) - 2, 1.0, math.hypot(2, 1), 1.0]
     )
 
-    def test_bounding_boxes(self):
-        ball = am.Outline(
-            vertices=[(3 * math.cos(a), 1 + 3 * math.sin(a)) for a in np.radians([10, 130, 250])],
-            boundaries=("s",) * 3,
-            arcs=dict.fromkeys(range(3), (0.0, 1.0)),
-        )
-        ring = am.Revolution(am.Rectangle(width=1, height=2, origin=(1, 0)), angle=90)
-        cylinder = am.Cylinder((0, 0, 1), (0, 3, 0), 1, 2)
-        for domain, lower, upper in (
-            (am.Box(width=1, depth=2, height=3, origin=(1, 0, 0)), [1, 0, 0], [2, 2, 3]),
-            (TWO, [0, -1], [2, 1]),
-            (ball, [-3, -2], [3, 4]),
-            (cylinder, [-1, 0, 0], [1, 2, 2]),
-            (ring, [0, 0, 0], [2, 2, 2]),
-            (am.Ball((1, 2, 3), 1), [0, 1, 2], [2, 3, 4]),
-            (am.Extrusion(self.HOLE, 2, -1), [0, 0, -1], [3, 3, 1]),
-            (am.Moved(cylinder, offset=(1, 0, 0), angle=90), [-1, -1, 0], [1, 1, 2]),
-            (am.Fuse(cylinder, am.Ball((0, 0, 0), 2)), [-2, -2, -2], [2, 2, 2]),
-            (am.Common(cylinder, am.Ball((0, 0, 0), 2)), [-1, 0, 0], [1, 2, 2]),
-            (am.Cut(cylinder, am.Ball((0, 0, 0), 2)), [-1, 0, 0], [1, 2, 2]),
-        ):
-            np.testing.assert_allclose(
-                [domain.lower, domain.upper], [lower, upper], rtol=1e-14, atol=1e-14
-            )
-        assert ball.area == pytest.approx(9 * math.pi)
 
-    def test_area_and_lengths_are_exact(self):
-        assert HALF.area == pytest.approx(math.pi, rel=1e-14) and HALF.lengths == pytest.approx(
-            (math.pi, 2.0, 2.0)
-        )
-        assert self.HOLE.area == pytest.approx(9 - math.pi / 4, rel=1e-14)
-        assert self.HOLE.arc(4).angle < 0 < HALF.arc(0).angle and self.HOLE.arc(0) is None
-
-    def test_chords_are_inscribed(self):
-        chords, edges, _ = HALF.chords()
-        np.testing.assert_allclose(
-            np.linalg.norm(chords[edges == 0] - [0, 2], axis=1), 2, rtol=1e-15
-        )
-        x, y = chords.T
-        assert 0.998 * HALF.area < 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < HALF.area
-        assert np.bincount(edges).tolist() == [30, 1, 1]
-
-    def test_distance_to_an_arc(self):
-        points = np.array([[0.0, 2.0], [3.0, -1.0], [0.0, -1.0], [0.0, 3.0], [-1.0, 0.0]])
-        np.testing.assert_allclose(
-            HALF.arc(0).distance(points), [2.0, 3 * math.sqrt(2) - 2, 1.0, math.hypot(2, 1), 1.0]
-        )
-
-    def test_repeated_edge_names_become_one_boundary(self):
-        polygon = am.Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("a", "b", "a"))
-        assert am.Assembly(parts={"p": polygon}).boundaries == ("p.a", "p.b")
-        assert TWO.boundaries[:5] == (
-            "upper.bottom",
-            "upper.right",
-            "upper.top",
-            "upper.left",
-            "lower.bottom",
-        )
+def test_repeated_edge_names_become_one_boundary():
+    polygon = am.Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("a", "b", "a"))
+    assert am.Assembly(parts={"p": polygon}).boundaries == ("p.a", "p.b")
+    assert TWO.boundaries[:5] == (
+        "upper.bottom",
+        "upper.right",
+        "upper.top",
+        "upper.left",
+        "lower.bottom",
+    )
 
 
-class TestProblem:
-    def test_names(self):
-        assert two(
-            loads=(am.InitialStrain("upper", (1e-3, 0)), am.InitialStrain("lower", (0, 0, 1e-3)))
-        ).loads
-        posed = two(contact=(PAIR, am.Contact("lower.bottom", am.Plane((0.0, -1.0), (0.0, 1.0)))))
-        assert posed.contact_boundaries == ("upper.bottom", "lower.bottom") and posed.masters == (
-            "lower.top",
-            "",
-        )
-        assert posed.pair_boundaries == ("upper.bottom", "lower.top", "lower.bottom")
-        assert posed.bodies == ("upper", "lower") and posed.dim == 2 and not posed.axisymmetric
-        assert two().contact == (PAIR,)
+def test_names_of_a_problem():
+    assert two(
+        loads=(am.InitialStrain("upper", (1e-3, 0)), am.InitialStrain("lower", (0, 0, 1e-3)))
+    ).loads
+    posed = two(contact=(PAIR, am.Contact("lower.bottom", am.Plane((0.0, -1.0), (0.0, 1.0)))))
+    assert posed.contact_boundaries == ("upper.bottom", "lower.bottom") and posed.masters == (
+        "lower.top",
+        "",
+    )
+    assert posed.pair_boundaries == ("upper.bottom", "lower.top", "lower.bottom")
+    assert posed.bodies == ("upper", "lower") and posed.dim == 2 and not posed.axisymmetric
+    assert two().contact == (PAIR,)
 
-    def test_bodies_without_a_domain(self):
-        both = {"a": STEEL, "b": am.PlaneStress(young=1e7, poisson=0.45)}
-        assert two(domain=None).bodies == () and two(domain=None, material=both).bodies == (
-            "a",
-            "b",
-        )
-        square = am.Rectangle(width=1, height=1)
-        assert two(domain=square, contact=am.ContactPair("bottom", "top")).bodies == ("body",)
 
-        class File(am.problem.Domain):
-            dim, boundaries, bodies = 2, None, None
+def test_bodies_without_a_domain():
+    both = {"a": STEEL, "b": am.PlaneStress(young=1e7, poisson=0.45)}
+    assert two(domain=None).bodies == () and two(domain=None, material=both).bodies == (
+        "a",
+        "b",
+    )
+    square = am.Rectangle(width=1, height=1)
+    assert two(domain=square, contact=am.ContactPair("bottom", "top")).bodies == ("body",)
 
-        assert two(domain=File(), material=both).bodies == ("a", "b")
+    class File(am.problem.Domain):
+        dim, boundaries, bodies = 2, None, None
 
-    @pytest.mark.filterwarnings("error")
-    def test_bodies_that_overlap_without_a_pair_are_named(self):
-        """Nothing would separate them; where they only touch, or are a pair, there is no
-        warning."""
+    assert two(domain=File(), material=both).bodies == ("a", "b")
 
-        def posed(shift):
-            places = {"low": (0.0, 0.0), "high": (0.0, 1.0), "third": (1.0 - shift, 0.0)}
-            parts = {
-                name: am.Rectangle(width=1.0, height=1.0, origin=origin)
-                for name, origin in places.items()
-            }
-            return am.Hierarchy.uniform(
-                two(
-                    domain=am.Assembly(parts=parts),
-                    contact=am.ContactPair("high.bottom", "low.top"),
-                    supports=(
-                        am.Support("high.left", x=0.0),
-                        am.Support("low.bottom", x=0.0, y=0.0),
-                        am.Support("third.bottom", x=0.0, y=0.0),
-                    ),
+
+@pytest.mark.filterwarnings("error")
+def test_bodies_that_overlap_without_a_pair_are_named():
+    """Nothing would separate them; where they only touch, or are a pair, there is no
+    warning."""
+
+    def posed(shift):
+        places = {"low": (0.0, 0.0), "high": (0.0, 1.0), "third": (1.0 - shift, 0.0)}
+        parts = {
+            name: am.Rectangle(width=1.0, height=1.0, origin=origin)
+            for name, origin in places.items()
+        }
+        return am.Hierarchy.uniform(
+            two(
+                domain=am.Assembly(parts=parts),
+                contact=am.ContactPair("high.bottom", "low.top"),
+                supports=(
+                    am.Support("high.left", x=0.0),
+                    am.Support("low.bottom", x=0.0, y=0.0),
+                    am.Support("third.bottom", x=0.0, y=0.0),
                 ),
-                (4, 8),
-            )
+            ),
+            (4, 8),
+        )
 
-        posed(0.0)
-        with pytest.warns(
-            UserWarning, match=r"'low' and 'third' lie in each other, at \[.* not a contact pair"
-        ):
-            posed(0.3)
+    posed(0.0)
+    with pytest.warns(
+        UserWarning, match=r"'low' and 'third' lie in each other, at \[.* not a contact pair"
+    ):
+        posed(0.3)
 
 
 # -- single load steps, and supports that prescribe functions of position ---------------------------------------------

@@ -190,46 +190,41 @@ def test_not_finite_or_run_away():
         assert "equilibrium" in certify(bare(), u, exact().contact).contradictions(1e-2)
 
 
-class TestFaultyClaims:
-    """The displacement is right, the forces or states that go with it are not."""
+def contradictions(**changes):
+    contact = replace(exact().contact, **changes)
+    return certify(bare(), exact().displacement, contact).contradictions(1e-8)
 
-    def contradictions(self, **changes):
-        contact = replace(exact().contact, **changes)
-        return certify(bare(), exact().displacement, contact).contradictions(1e-8)
 
-    @pytest.mark.parametrize(
-        ("factor_n", "factor_t", "names"),
-        [
-            (1, -1, {"equilibrium", "slip direction", "slip along the force"}),
-            (-1, 1, {"equilibrium", "tension"}),
-            (1, 2, {"equilibrium", "friction bound"}),
-            (0, 0, {"equilibrium", "balance"}),
-        ],
+@pytest.mark.parametrize(
+    ("factor_n", "factor_t", "names"),
+    [
+        (1, -1, {"equilibrium", "slip direction", "slip along the force"}),
+        (-1, 1, {"equilibrium", "tension"}),
+        (1, 2, {"equilibrium", "friction bound"}),
+        (0, 0, {"equilibrium", "balance"}),
+    ],
+)
+def test_wrong_forces_of_a_right_displacement_are_named(factor_n, factor_t, names):
+    contact = exact().contact
+    assert names <= set(
+        contradictions(force_n=factor_n * contact.force_n, force_t=factor_t * contact.force_t)
     )
-    def test_wrong_forces(self, factor_n, factor_t, names):
-        contact = exact().contact
-        assert names <= set(
-            self.contradictions(
-                force_n=factor_n * contact.force_n, force_t=factor_t * contact.force_t
-            )
-        )
 
-    @pytest.mark.parametrize(
-        ("was", "claimed", "name"),
-        [
-            (am.SLIP, am.STICK, "slip, sticking"),
-            (am.SLIP, am.OPEN, "open, touching"),
-            (am.STICK, am.OPEN, "open, touching"),
-            (am.OPEN, am.SLIP, "touching, open"),
-        ],
-    )
-    def test_wrong_states(self, was, claimed, name):
-        contact = exact().contact
-        free = ~bare().fixed.reshape(-1, 2)[contact.node].any(axis=1)
-        assert (contact.state[free] == was).any()
-        assert self.contradictions(
-            state=np.where(contact.state == was, claimed, contact.state)
-        ) == (name,)
+
+@pytest.mark.parametrize(
+    ("was", "claimed", "name"),
+    [
+        (am.SLIP, am.STICK, "slip, sticking"),
+        (am.SLIP, am.OPEN, "open, touching"),
+        (am.STICK, am.OPEN, "open, touching"),
+        (am.OPEN, am.SLIP, "touching, open"),
+    ],
+)
+def test_wrong_states_of_a_right_displacement_are_named(was, claimed, name):
+    contact = exact().contact
+    free = ~bare().fixed.reshape(-1, 2)[contact.node].any(axis=1)
+    assert (contact.state[free] == was).any()
+    assert contradictions(state=np.where(contact.state == was, claimed, contact.state)) == (name,)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

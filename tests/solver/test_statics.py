@@ -216,73 +216,76 @@ def test_a_slope_that_is_too_steep_is_named_with_its_tangent(angle, law):
         check_statics(problem)
 
 
-class TestBareProblems:
-    def test_modes_without_coordinates_and_none(self):
-        lifted, turning = plate(loads=weight(0.0, 1.0)), plate(law=am.Coulomb(1.0), loads=TIPPING)
-        check_statics(replace(lifted, coordinates=None, near_nullspace=None))
-        for problem, motion in (
-            (lifted, "translation along y"),
-            (turning, r"motion \(a combination of near_nullspace\)"),
-        ):
-            with pytest.raises(ValueError, match=f"nothing holds a {motion}"):
-                check_statics(replace(problem, coordinates=None))
+def test_modes_without_coordinates_and_none():
+    lifted, turning = plate(loads=weight(0.0, 1.0)), plate(law=am.Coulomb(1.0), loads=TIPPING)
+    check_statics(replace(lifted, coordinates=None, near_nullspace=None))
+    for problem, motion in (
+        (lifted, "translation along y"),
+        (turning, r"motion \(a combination of near_nullspace\)"),
+    ):
+        with pytest.raises(ValueError, match=f"nothing holds a {motion}"):
+            check_statics(replace(problem, coordinates=None))
 
-    def test_modes_need_not_be_orthonormal(self):
-        problem = plate(law=am.Coulomb(0.5), loads=weight(0.4, -1.0))
-        mixed = problem.near_nullspace @ np.array([[1.0, 2, 3, 4], [0, 5.0, 6, 1], [0, 0, 1e3, 1]])
-        check_statics(replace(problem, near_nullspace=mixed))
-        with pytest.raises(ValueError, match="nothing holds"):
-            check_statics(replace(problem, near_nullspace=mixed, load=-problem.load))
 
-    def test_modes_that_are_no_rigid_motions(self):
-        # in skew coordinates of the user's: nothing is known about the shape of the motion, but it
-        # is found
-        problem = plate(law=am.Coulomb(1.0), loads=TIPPING)
-        shaken = problem.coordinates + np.random.default_rng(0).random(problem.coordinates.shape)
-        with pytest.raises(ValueError, match=r"nothing holds a motion \(a combination"):
-            check_statics(replace(problem, coordinates=shaken))
+def test_modes_need_not_be_orthonormal():
+    problem = plate(law=am.Coulomb(0.5), loads=weight(0.4, -1.0))
+    mixed = problem.near_nullspace @ np.array([[1.0, 2, 3, 4], [0, 5.0, 6, 1], [0, 0, 1e3, 1]])
+    check_statics(replace(problem, near_nullspace=mixed))
+    with pytest.raises(ValueError, match="nothing holds"):
+        check_statics(replace(problem, near_nullspace=mixed, load=-problem.load))
 
-    def test_springs_hold(self):
-        problem = plate(loads=weight(0.0, 1.0))
-        springs = np.zeros(problem.n_dofs)
-        springs[:4] = springs[-4:] = 1.0
+
+def test_modes_that_are_no_rigid_motions():
+    # in skew coordinates of the user's: nothing is known about the shape of the motion, but it
+    # is found
+    problem = plate(law=am.Coulomb(1.0), loads=TIPPING)
+    shaken = problem.coordinates + np.random.default_rng(0).random(problem.coordinates.shape)
+    with pytest.raises(ValueError, match=r"nothing holds a motion \(a combination"):
+        check_statics(replace(problem, coordinates=shaken))
+
+
+def test_springs_hold():
+    problem = plate(loads=weight(0.0, 1.0))
+    springs = np.zeros(problem.n_dofs)
+    springs[:4] = springs[-4:] = 1.0
+    check_statics(replace(problem, matrix=problem.matrix + sparse.diags_array(springs)))
+    springs[1::2] = 0.0
+    with pytest.raises(ValueError, match="nothing holds a translation along y"):
         check_statics(replace(problem, matrix=problem.matrix + sparse.diags_array(springs)))
-        springs[1::2] = 0.0
-        with pytest.raises(ValueError, match="nothing holds a translation along y"):
-            check_statics(replace(problem, matrix=problem.matrix + sparse.diags_array(springs)))
 
-    def beside(self, one, matrix, load, points):
-        """A problem, and next to it what has this matrix, load and nodes, nothing fixed."""
-        return am.DiscreteProblem(
-            matrix=sparse.block_diag([one.matrix, matrix], format="csr"),
-            load=np.r_[one.load, load],
-            fixed=np.r_[one.fixed, np.zeros(len(load), dtype=bool)],
-            law=am.Frictionless(),
-            contact=am.ContactNodes(
-                nodes=one.contact.nodes, normals=one.contact.normals, gaps=one.contact.gaps
-            ),
-            coordinates=np.vstack([one.coordinates, points]),
-        )
 
-    def test_two_bodies_are_checked_one_by_one(self):
-        """A pressed plate, and a second one that no support and no contact holds."""
-        one = plate(supports=LEFT)
-        n = one.n_dofs
-        pair = self.beside(one, one.matrix, np.zeros(n), one.coordinates + 10.0)
-        with pytest.raises(ValueError, match=f"not unique: .* of the body of node {n // 2} "):
-            check_statics(pair)
-        check_statics(replace(pair, fixed=pair.fixed | (np.arange(2 * n) >= n)))
-        with pytest.raises(
-            ValueError, match="nothing holds a translation along -x of the body of node"
-        ):
-            check_statics(replace(pair, load=np.r_[one.load, np.tile([-1.0, 0.0], n // 2)]))
+def beside(one, matrix, load, points):
+    """A problem, and next to it what has this matrix, load and nodes, nothing fixed."""
+    return am.DiscreteProblem(
+        matrix=sparse.block_diag([one.matrix, matrix], format="csr"),
+        load=np.r_[one.load, load],
+        fixed=np.r_[one.fixed, np.zeros(len(load), dtype=bool)],
+        law=am.Frictionless(),
+        contact=am.ContactNodes(
+            nodes=one.contact.nodes, normals=one.contact.normals, gaps=one.contact.gaps
+        ),
+        coordinates=np.vstack([one.coordinates, points]),
+    )
 
-    def test_lone_nodes_are_no_bodies(self):
-        # nodes decoupled from all others (eliminated by the user, say) are held by their own
-        # diagonal
-        check_statics(
-            self.beside(plate(supports=LEFT), sparse.eye_array(6), np.ones(6), np.zeros((3, 2)))
-        )
+
+def test_two_bodies_are_checked_one_by_one():
+    """A pressed plate, and a second one that no support and no contact holds."""
+    one = plate(supports=LEFT)
+    n = one.n_dofs
+    pair = beside(one, one.matrix, np.zeros(n), one.coordinates + 10.0)
+    with pytest.raises(ValueError, match=f"not unique: .* of the body of node {n // 2} "):
+        check_statics(pair)
+    check_statics(replace(pair, fixed=pair.fixed | (np.arange(2 * n) >= n)))
+    with pytest.raises(
+        ValueError, match="nothing holds a translation along -x of the body of node"
+    ):
+        check_statics(replace(pair, load=np.r_[one.load, np.tile([-1.0, 0.0], n // 2)]))
+
+
+def test_lone_nodes_are_no_bodies():
+    # nodes decoupled from all others (eliminated by the user, say) are held by their own
+    # diagonal
+    check_statics(beside(plate(supports=LEFT), sparse.eye_array(6), np.ones(6), np.zeros((3, 2))))
 
 
 @pytest.fixture(scope="module")
