@@ -531,8 +531,8 @@ def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
 
 def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
     """Raise ValueError unless each block is the transpose of its counterpart, up to rounding. The
-    difference is compared with sqrt(a_ii a_jj), a_ii the largest diagonal entry of node i, which bounds
-    the entries of a positive definite matrix, so that errors in a soft part count."""
+    difference is compared with sqrt(a_ii a_jj), a_ii the largest entry of node i on the ``diagonal``
+    (n_dofs,), which bounds the entries of a positive definite matrix, so that errors in a soft part count."""
     difference = sparse.coo_array(matrix - matrix.T)
     dim = matrix.blocksize[0]
     scale = np.sqrt(diagonal.reshape(-1, dim).max(axis=1))

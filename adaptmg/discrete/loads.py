@@ -92,7 +92,7 @@ def load_vector(
     axisymmetric = materials is not None and is_axisymmetric(materials)
     vector = np.zeros(check_mesh(mesh).points.size)
     checks.choice("elements", elements, ("linear", "smoothed"))
-    result = vector.reshape(mesh.points.shape)
+    result = vector.reshape(mesh.points.shape)  # a view: what is added to it is in ``vector``
     for load in checks.items("loads", loads, get_args(Load), "Pressure, Traction, BodyForce, ..."):
         if isinstance(load, InitialStrain):
             if materials is None:

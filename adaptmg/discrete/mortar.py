@@ -366,7 +366,8 @@ def _with_partners(
 
 def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     """Couple the nodes of a slave surface to a master surface by dual mortar functions: the matrices D
-    and M of the module, and the gaps."""
+    and M of the module, and the gaps. The master is sought within ``reach``, m, on both sides of the
+    slave; None: as :meth:`Surfaces.depths` says."""
     n_nodes = len(surfaces.points)
     carries = surfaces.carries[surfaces.slave]  # (n_slave, k): corners that have a multiplier
     parts = _covered_enough(surfaces, reach)
@@ -422,8 +423,8 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
 
 
 def _covered_enough(surfaces: Surfaces, reach: float | None) -> CoveredParts:
-    """Return the covered parts of the slave facets of which more than a sliver is covered; ValueError
-    if none of these facets has a corner with a multiplier."""
+    """Return the parts, covered within ``reach`` as in :func:`mortar`, of the slave facets of which more
+    than a sliver is covered; ValueError if none of these facets has a corner with a multiplier."""
     from adaptmg.discrete.mortar_parts import covered_parts
 
     covered = covered_parts(surfaces, reach)

@@ -25,7 +25,8 @@ from adaptmg.problem.loads import InitialStrain, Preload
 
 @dataclass(frozen=True, eq=False)
 class LoadSteps:
-    """Loads and prescribed displacements of one mesh, by the names that a load path knows."""
+    """Loads and prescribed displacements of one mesh, by the names that a load path knows. The ``factors``
+    of its methods are the lambda_kj of a step k by these names j; preloads have strains."""
 
     n_dofs: int
     loads: Mapping[str, np.ndarray]  # dict of str to (n_dofs,)
@@ -42,8 +43,7 @@ class LoadSteps:
     posed: Posed | Any = None
 
     def stress_data(self, factors: Mapping[str, float]) -> StressData | Any:
-        """Return the stress data of a step k, with its initial strains; ``factors`` are the
-        lambda_kj of the loads j by name. None without a problem."""
+        """Return the stress data of a step, with its initial strains; None without a problem."""
         if not self.strains:
             return self.stress
         return replace(

@@ -128,7 +128,7 @@ class InelasticBodies:
         (m, n) is that at the beginning of the load step."""
         k = self.elastic.shape[1]
         strain = (self.strains @ problem.physical(displacement).reshape(-1)).reshape(-1, k)
-        stress, tangent, state = self._material(strain, state)
+        stress, tangent, new_state = self._material(strain, state)
         if self.bulk.any():
             # without (K_b - K'_b) tr(eps) I, which acts on the mean volume strains of groups of nodes
             stress[:, :3] -= (self.bulk * strain[:, :3].sum(axis=1))[:, None]
@@ -142,7 +142,7 @@ class InelasticBodies:
             problem.residual(displacement), displacement, problem.fixed_values
         )
         missed = elastic + problem.relative_forces(forces)
-        return Response(displacement, stress, tangent, state, missed)
+        return Response(displacement, stress, tangent, new_state, missed)
 
     def linearised(self, problem: DiscreteProblem, response: Response) -> DiscreteProblem:
         """Return the contact problem whose bodies have the tangent at a response."""
@@ -256,7 +256,7 @@ def _strain_matrix(patches: Patches, numbers: np.ndarray, n_dofs: int, k: int) -
             entries.append((row + c, column + i, slopes[:, j]))
         if i != j:
             entries.append((row + c, column + j, slopes[:, i]))
-    if len(patches.hoops):
+    if len(patches.hoops):  # zz is the hoop strain, of the displacement along r
         entries.append((row + 2, column, patches.hoops[chosen]))
     rows, columns, values = map(np.concatenate, zip(*entries, strict=True))
     shape = (k * len(numbers), n_dofs)

@@ -31,8 +31,9 @@ def young_of(mesh: MeshArrays, materials: Sequence[Elastic], nodes: np.ndarray) 
 
 
 def with_sides(problem: ContactProblem, mesh: MeshArrays) -> ContactProblem:
-    """Choose the sides of pairs that leave the choice open; return the problem itself where none
-    does."""
+    """Choose the sides of pairs that leave the choice open: the softer side is the slave, of sides about
+    as stiff (``ALIKE``) the finer one; as given where that cannot be exchanged. Returns the problem
+    itself where no pair leaves it open."""
     open_pairs = [
         pair for pair in problem.contact if isinstance(pair, ContactPair) and pair.sides == "auto"
     ]

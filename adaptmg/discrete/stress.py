@@ -439,8 +439,8 @@ def _add_extrapolated(
     fits: np.ndarray,
 ) -> np.ndarray:
     """Add to the values ``nodal`` of outer nodes the fits a + B (x - x_i) of their inner neighbours i
-    there, times the number of elements that both share (n_outer, n_points); return the sums of these
-    numbers (n_points,)."""
+    there, times the number of elements that both share (``shared`` (n_outer, n_points)); return the sums
+    of these numbers (n_points,). All nodes lie at ``points`` (n_points, dim)."""
     fit_of_node = places_of(inner, len(points))
     has_fit = fit_of_node[shared.col] >= 0
     node = outer[shared.row[has_fit]]

@@ -249,7 +249,8 @@ def _fitted_tractions(
     mesh: MeshArrays, tip: Tip, faces: list[str], forces: np.ndarray, outer: float
 ) -> np.ndarray:
     """Return the tractions on the left face as coefficients (3, 2) of powers of r, fitted to the nodal
-    ``forces`` (n_nodes, 2), in the axes of the tip, on both faces; on the right face they are opposite."""
+    ``forces`` (n_nodes, 2), in the axes of the tip, on both faces; on the right face they are opposite.
+    ``outer`` is the radius of the largest domain, m."""
     places = []
     masses = []
     loads = []
@@ -268,8 +269,8 @@ def _fitted_tractions(
 
 
 def _free_strain(mesh: MeshArrays, data: StressData, lame: float, shear: float) -> np.ndarray:
-    """Return the free strains in the plane (n_elements, 2, 2); in plane strain with Poisson's ratio
-    times the free strain through the thickness."""
+    """Return the free strains in the plane (n_elements, 2, 2); in plane strain with Poisson's ratio, from
+    Lame's constants at the tip, times the free strain through the thickness."""
     if not len(data.initial_strain):
         return np.zeros((len(mesh.elements), 2, 2))
     through = np.where(data.thin[mesh.element_body], 0.0, data.initial_strain[:, 2])
@@ -350,7 +351,8 @@ def _near_field(
     z: np.ndarray, factor: complex, kolosov: float, shear: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the stresses (..., 2, 2) of K_I + i K_II = ``factor`` at places z = x_1 + i x_2 (...,), the
-    derivative of the displacement along the crack (..., 2) and that of the stresses (..., 2, 2)."""
+    derivative of the displacement along the crack (..., 2) and that of the stresses (..., 2, 2), all in the
+    axes of the tip; ``kolosov`` is kappa, ``shear`` mu, Pa."""
     # phi_1, phi_2, psi_1 are phi', phi'', psi' of the module, phi''' = -1.5 phi'' / z, psi'' = -0.5 psi' / z;
     # 2 mu u = kappa phi - z conj(phi') - conj(psi)
     a = np.conj(factor) / np.sqrt(8 * np.pi)

@@ -84,8 +84,9 @@ def sound_mesh(
     made: object,
     like: MeshArrays | None = None,
 ) -> MeshArrays:
-    """Return a mesh that an engine has made: sound, with the problem's boundaries and the bodies of
-    another mesh."""
+    """Return the mesh ``made`` by a ``method`` of an engine, which messages name, if it is sound and has the
+    boundaries of a contact problem and, if given, the dimension and the bodies of the mesh ``like``; else
+    TypeError or ValueError."""
     name = f"engine {checks.shown(engine)}: what {method} returns"
     made = checks.instance(name, made, MeshArrays, "MeshArrays")
     try:

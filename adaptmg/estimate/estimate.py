@@ -612,8 +612,9 @@ class Recovery:
 
 
 def recovered_energy(stress: ElementStress, cells: np.ndarray, nodal: np.ndarray) -> np.ndarray:
-    """Return energies (n_elements,) of a recovered stress, linear between nodal values on cells,
-    minus that of the elements, N m."""
+    """Return the squares of energy norms (n_elements,), N m, of the difference of a recovered stress and
+    that of the elements; the former is linear between values ``nodal`` at the corners ``cells``
+    (n_elements, dim + 1), rows of ``nodal``."""
     mesh = stress.mesh
     rule, _, weights = integration(mesh.points, mesh.elements, mesh.volumes, stress.axisymmetric)
     difference = rule @ nodal[cells] - stress.values[:, None]

@@ -446,7 +446,7 @@ class AdaptiveLoop:
 
     @one_blas_thread()
     def _solve(self, hierarchy: Hierarchy, start: Result | None) -> Step:
-        """Solve, estimate and store a step."""
+        """Solve, estimate and store a step; a load path does not begin with ``start``."""
         number = len(self.done)
         last = self.done[-1] if self.done else None
         parts = self.parts
@@ -645,8 +645,8 @@ def carried(hierarchy: Hierarchy, below: int, result: Result) -> Result:
 
 
 def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:
-    """Return the hierarchy with the problem of load step ``k`` on the finest level, slips counted
-    from the step before."""
+    """Return the hierarchy with the problem of load step ``k`` of a path on the finest level, slips counted
+    from the step before; ``results`` are those of the path up to there."""
     factors = {name: float(values[k]) for name, values in path.resolved(hierarchy.problem).items()}
     discrete = hierarchy.finest.discrete
     loads = load_steps(cast("Posed", hierarchy.posed), discrete)

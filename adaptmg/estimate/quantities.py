@@ -391,7 +391,7 @@ class ContactForce:
                 "direction 'tangential' has no meaning in 3D: give a component, 0, 1 or 2"
             )
         else:
-            local[:, 1] = share
+            local[:, 1] = share  # on the slave, whichever side is named
         vector = np.zeros((view.discrete.n_nodes, dim))
         vector[contact.nodes] = from_frames(contact.frames, local)
         # where a support holds, the force of contact cannot be separated from its reaction
@@ -434,7 +434,7 @@ class PeakPressure:
         weights = _slave_weights(source, self.boundary)
         forces = np.maximum(-_at_nodes(source, contact.residual)[:, 0], 0.0)
         pressures = forces / source.touching.weights
-        largest = pressures.max(initial=0.0) or 1.0
+        largest = pressures.max(initial=0.0) or 1.0  # nothing touches: the value is 0
         # J = sum w p^(q+1) / sum w p^q; with p and J over the largest pressure powers do not overflow
         shares = pressures / largest
         total = float(weights @ shares**self.power) or 1.0

@@ -78,8 +78,9 @@ class ElementStress:
 
     @cached_property
     def compliances(self) -> Moduli:
-        """Return the moduli whose inverses make energies of stresses. Lame's first constant may be
-        infinite, and is cut off where its inverse no longer counts next to that of the shear modulus."""
+        """Return the moduli whose inverses make energies of stresses; of sheets only the block of the
+        stresses in the plane is right, and the only one that counts. Lame's first constant may be infinite,
+        and is cut off where its inverse no longer counts next to that of the shear modulus."""
         if self.data.moduli is not None:
             return self.data.moduli
         return isotropic(
@@ -126,7 +127,7 @@ class ElementStress:
     ) -> np.ndarray:
         """Return the hoop strain (n, n_points) at the points of a ``rule`` (n_points, k) on cells
         (n, k), elements or facets, minus that at the centroids of their elements (n,); 0 where
-        elements are smoothed."""
+        elements are smoothed. At points on the axis, whose weights are 0, the hoop strain is taken as 0."""
         if self.data.smoothed:
             return np.zeros((len(cells), len(rule)))
         radius = self.mesh.points[cells, 0] @ rule.T
@@ -284,6 +285,7 @@ class Solved:
         missed = euclidean_norm(of_result - inclined.free_part(self.discrete.load))
         if missed <= allowed:
             return
+        # A u, of which the load is a part, is a difference of terms of this size
         rounding = checks.ROUNDING * euclidean_norm(self.discrete.rows.diagonal() * unknowns)
         nodal_forces = load_vector(
             self.mesh, self.problem.loads, self.problem.material, self.problem.elements

@@ -200,8 +200,9 @@ def _pieces(
 def _names(
     parts: np.ndarray, sets: dict[str, np.ndarray], unnamed: str, split: bool
 ) -> tuple[list[str], list[str]]:
-    """Return the name of each piece of the mesh, and notes; ``parts`` (n_elements,): the piece of
-    each element, ``sets``: masks over the elements."""
+    """Return the name of each piece of the mesh, ``unnamed`` where no set holds all of it, and notes;
+    ``parts`` (n_elements,): the piece of each element, ``sets``: masks over the elements. Where bodies
+    are ``split`` their names get no dots, which separate them from boundaries."""
     # a piece is called after the smallest set that holds all of it
     sizes = np.bincount(parts)
     called = [unnamed] * len(sizes)

@@ -162,7 +162,8 @@ class _Deck:
             self.spelling.setdefault(value.upper(), value)
 
     def _read(self, block: _Block | None, path: Path, place: str) -> None:
-        """Read a block that is complete; errors get its line and its keyword."""
+        """Read a block that is complete, None: nothing, of the file ``path``; errors get the ``place`` of the
+        file, the line and the keyword."""
         if block is None:
             return
         try:

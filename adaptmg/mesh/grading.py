@@ -201,8 +201,8 @@ def _graded_body(
     mesher: str,
     size_function: SizeField | None,
 ) -> MeshArrays:
-    """Mesh one body as :func:`graded` does; arguments are checked, ``near`` is the size along the
-    boundaries ``names``."""
+    """Mesh one body as :func:`graded` does, whose arguments these are, checked; ``near`` is the size along
+    the boundaries ``names``."""
     solid = SolidSizes(size, names, near, grading, size_function)
     if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
         return solid_mesh(domain, solid, mesher)

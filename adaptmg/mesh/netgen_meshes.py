@@ -11,8 +11,9 @@ is bisected. Where all faces of a solid lie on planes, cylinders, cones, spheres
 makes a draft of larger sizes, which is refined (:mod:`adaptmg.mesh.improve`). New nodes are put
 onto curves and faces. Domains are scaled to unit extent before, as Netgen and OCC compare lengths
 with absolute tolerances; boundaries are called by the numbers of edges and faces, of which several
-may share a name.
-
+may share a name. In functions of solids ``worker`` is the process that holds the solid, ``shape`` are
+its properties, ``unit`` or ``draft`` is a mesh at unit size, in lengths of ``shape``, ``sizes`` are in m,
+and ``faces`` are those along which they are ``sizes.near``, by their numbers.
 Elements are straight: all nodes of curved faces lie on them, chords do not. The volume of the mesh
 therefore differs from OCC's by :math:`O(h^2)`; it is compared with the bound :math:`\sum_F \tfrac12
 A_F h_F \theta_F` over the boundary triangles F, :math:`\theta` being the largest angle to a
@@ -169,7 +170,8 @@ def _plane_draft(
     rounds: int,
 ) -> MeshArrays:
     """Return Netgen's mesh of a plane domain, not checked: a first one, then ``rounds`` more, each
-    by the sizes at the centroids of the mesh before."""
+    by the ``sizes`` at the centroids of the mesh before. They are at most ``size``, and those of ``sides``
+    along some boundaries, m."""
     lower, scale = extent(domain)
     volume, lengths = boundary_measures(domain)
     nodes = refuse_too_many(
@@ -641,7 +643,8 @@ def _refined(
     domain: Domain,
     possible: list[list[Revolved]],
 ) -> MeshArrays:
-    """Return the draft at unit size, refined to the sizes."""
+    """Return the draft at unit size, refined to the sizes; ``possible`` are the surfaces that each face may
+    lie on (:func:`~adaptmg.mesh.surfaces.candidates`)."""
     surfaces = surfaces_of(possible, draft)
 
     def field(unit: MeshArrays) -> np.ndarray:
@@ -663,7 +666,7 @@ def _flat_ones(mesh: MeshArrays) -> np.ndarray:
 def _relieved(mesh: MeshArrays, possible: list[list[Revolved]]) -> MeshArrays:
     """Return a sound mesh at unit size with its flat elements bisected and moved: those of Netgen
     whose corners all lie on the boundary, which moves alone cannot mend. Of the meshes on the way
-    that with the best worst element is returned."""
+    that with the best worst element is returned. ``possible`` is that of :func:`_refined`."""
     best = mesh
     try:
         surfaces = surfaces_of(possible, mesh)

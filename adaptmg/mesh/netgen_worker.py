@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 Tables = tuple[
     np.ndarray, np.ndarray, np.ndarray, np.ndarray, Sequence[str], np.ndarray, Sequence[str]
 ]
+#: points (n, dim) and the sizes (n,) there, at most, at unit size
 Sizes = Sequence[tuple[np.ndarray, np.ndarray]]
 
 # Netgen's element types of first and second order
@@ -128,6 +129,7 @@ def ngsolve_mesh(
     dim = points.shape[1]
     result = netgen.meshing.Mesh(dim=dim)
     result.AddPoints(np.ascontiguousarray(np.pad(points, ((0, 0), (0, 3 - dim)))))
+    # of Netgen a face is a body in the plane, a boundary in space
     for i in range(len(bodies if dim == 2 else boundaries)):
         result.Add(
             netgen.meshing.FaceDescriptor(
@@ -193,14 +195,16 @@ def mesh_plane(
     options: Mapping[str, float],
     sizes: Sizes,
 ) -> Tables:
-    """Mesh a domain moved by ``-lower`` and divided by ``scale``; see :func:`_generated`."""
+    """Mesh a domain moved by ``-lower`` and divided by ``scale``, with the sizes ``sides`` along some
+    boundaries; see :func:`_generated`."""
     return _generated(_spline_geometry(domain, lower, scale, sides), options, sizes)
 
 
 def mesh_shape(
     face_sizes: Mapping[int, float], options: Mapping[str, float], sizes: Sizes
 ) -> Tables:
-    """Mesh the shape of the last request; its faces are called by their numbers."""
+    """Mesh the shape of the last request; its faces are called by their numbers, by which ``face_sizes``
+    has sizes along them. See :func:`_generated`."""
     for i, face in enumerate(_Held.shape.faces):
         face.name = str(i)
         if i in face_sizes:
@@ -211,7 +215,8 @@ def mesh_shape(
 def _generated(
     geometry: SplineGeometry | OCCGeometry, options: Mapping[str, float], sizes: Sizes
 ) -> Tables:
-    """Return the tables of Netgen's mesh of a geometry, with sizes at most as given at points."""
+    """Return the tables of Netgen's mesh of a geometry, with ``options`` of its MeshingParameters, and sizes
+    at most as given at points; the mesh is held for further requests."""
     # Netgen's threads spend more time waiting than the work takes: 3 to 30 times slower
     parameters = netgen.meshing.MeshingParameters(**options, parallel_meshing=False)
     for points, lengths in sizes:
@@ -407,7 +412,7 @@ def _decoded(string: str) -> str:
 
 def step_surface(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return points (n, 3), outward triangles (m, 3) and the face of each (m,), of a surface mesh of the
-    shape of the last request."""
+    shape of the last request, with edges of at most ``size``."""
     mesh = OCCGeometry(_Held.shape).GenerateMesh(
         maxh=size, perfstepsend=netgen.meshing.MeshingStep.MESHSURFACE
     )

@@ -132,9 +132,9 @@ def _points_on_surfaces(
     stays: np.ndarray,
     n_old: int,
 ) -> np.ndarray:
-    """Return the points (n_nodes, dim) with new nodes on the surfaces of the one or two boundaries
-    that they lie on, but for those that ``stays``: halfway between their parents, which are moved
-    before."""
+    """Return the points (n_nodes, dim) with new nodes, those from number ``n_old`` on, on the surfaces of
+    the one or two boundaries that they lie on, but for those that ``stays``: halfway between their
+    ``parents``, which are moved before, since they have a lower ``depth`` (:func:`_depth`)."""
     points = mesh.points.copy()
     surfaces = [surface for side in sides for surface in side.surfaces]
     near = _ROUNDING * float(np.ptp(points, axis=0).max())

@@ -98,8 +98,8 @@ def _without_dots(name: str) -> str:
 def _chosen(
     domain: StepFile, entries: Sequence[str], named: Sequence[str], bodies: Sequence[str]
 ) -> list[int]:
-    """Return the numbers of the solids that a domain chooses: by their names in the file, by the
-    names of its bodies, or as "name.2", the second of one name."""
+    """Return the numbers of the solids that the ``entries`` of a domain choose: by their names in the file
+    (``named``), by the names of its ``bodies``, or as "name.2", the second of one name."""
     chosen: list[int] = []
     for entry in entries:
         same = [k for k, name in enumerate(named) if name == _without_dots(entry)]
@@ -367,8 +367,8 @@ def _face(shape: Shape, number: int, name: str, triangles: np.ndarray = _NONE) -
 
 
 def _touches(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: float) -> bool:
-    """Return whether a triangle of a face lies on another face, of a solid, which looks the other
-    way there."""
+    """Return whether a triangle of a face lies within ``reach``, m, of another face, of a solid, which
+    looks the other way there."""
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     # corners lie on round faces, centroids of their triangles do not; plane faces may have all

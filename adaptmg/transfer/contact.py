@@ -237,7 +237,7 @@ def _on_side(
     nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, face: str, other: str
 ) -> np.ndarray:
     """Return the fine nodes (n,), ascending, on a face of a crack, and the inner ones between the fine
-    and the coarse face that the prolongation ``nodal`` lets follow the opposite coarse face."""
+    and the coarse face that the prolongation ``nodal`` lets follow the opposite coarse face, ``other``."""
     near = np.flatnonzero(abs(nodal) @ mask_of(coarse.boundary_nodes(other), coarse.n_nodes))
     points = fine.points[near]
     outside_coarse = _height(coarse, face, other, points) > 0
@@ -247,7 +247,8 @@ def _on_side(
 
 def _height(mesh: MeshArrays, face: str, other: str, points: np.ndarray) -> np.ndarray:
     """Return the distances (n,), m, of points from a face of a crack, along its normals, which point
-    out of the body; 0 ahead of a tip, where the nearest point of the face is a node of both faces."""
+    out of the body; 0 ahead of a tip, where the nearest point of the face is a node of the ``other``
+    face, too."""
     surface = mesh.surface(face)
     facet, weights, _ = BoxTree(mesh.points, surface.facets).nearest(points)
     corners = surface.facets[facet]
@@ -261,7 +262,7 @@ def _checked_prolongation(
     transfer: Transfer, coarse: MeshArrays, fine: MeshArrays
 ) -> sparse.csr_array:
     """Return the prolongation that a transfer builds; ValueError unless it is a sparse matrix of
-    the right shape with finite entries of about 1."""
+    the right shape with finite entries, the largest of them neither tiny nor huge (checks.VAST)."""
     returned = transfer.build(coarse, fine)
     wanted = (fine.n_nodes, coarse.n_nodes)
     if sparse.issparse(returned) and returned.shape != wanted:

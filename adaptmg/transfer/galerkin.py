@@ -156,6 +156,7 @@ def without_fixed(
 ) -> sparse.bsr_array:
     """Return the matrix with zero rows and columns of fixed dofs (n_dofs,) but for their diagonal;
     the pattern stays. It is the matrix itself, changed, with ``copy=False``.
+
     Examples
     --------
     >>> from scipy import sparse
@@ -200,6 +201,7 @@ def aggregated_prolongations(
         made = pyamg.smoothed_aggregation_solver(
             sparse.bsr_matrix(without_fixed(matrix, fixed)),
             B=modes,
+            # 0: all neighbours are strongly connected
             strength=("symmetric", {"theta": 0.0}),  # pyright: ignore[reportArgumentType]  pyamg has no stubs
             max_coarse=max_coarse,
             max_levels=10,

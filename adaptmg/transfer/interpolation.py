@@ -358,8 +358,8 @@ def clipped_rows(
     tolerance: float = CLIP,
     moments: np.ndarray | None = None,
 ) -> tuple[sparse.csr_array, np.ndarray]:
-    """Drop small entries, and restore row sums 1 and first moments (n_fine, 1 + dim), by default
-    those before; return also which rows have reached them."""
+    """Drop entries below ``tolerance``, and restore row sums 1 and first ``moments`` (n_fine, 1 + dim), by
+    default those before; return also which rows (n_fine,) have reached them."""
     if moments is None:
         centre = coarse.points.mean(axis=0)  # far from the origin the differences would lose digits
         moments = matrix @ np.column_stack([np.ones(coarse.n_nodes), coarse.points - centre])
