@@ -101,7 +101,7 @@ def load_vector(
                 )
             result += initial_strain_load(mesh, load, materials, elements)
         elif isinstance(load, Preload):
-            continue  # its strain is to be found
+            continue  # its strain is to be found (:mod:`adaptmg.evolution.load_steps`)
         elif isinstance(load, PointForce):
             result[node_at(mesh, load.point, load.body)] += load.components
         elif isinstance(load, BodyForce):

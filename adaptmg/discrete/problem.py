@@ -553,7 +553,7 @@ def _relative_motions(
     motions: Callable[[np.ndarray | slice], np.ndarray],
     nodes: np.ndarray | slice,
 ) -> np.ndarray:
-    """Return the rigid motions (n, dim, k) that ``motions`` computes, in relative coordinates."""
-    modes = motions(ALL_NODES)
+    """Return the rigid motions (n, dim, k) that ``motions`` computes at nodes, in relative coordinates."""
+    modes = motions(ALL_NODES)  # unknowns are relative to other nodes
     flat = modes.reshape(-1, modes.shape[2])
     return coupling.relative(flat).reshape(modes.shape)[nodes]

@@ -317,11 +317,11 @@ def error_spaces(
 
 def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
     """Return the adjoint system of linearised contact conditions."""
-    matrix, trial, test = error_spaces(contact)
+    local_matrix, trial, test = error_spaces(contact)
     keep = sparse.diags_array(trial.astype(float), format="csr")
     dim = contact.discrete.dim
     # E'(A + H) T, and ones at dofs that an error does not have
-    product = keep @ matrix @ test + sparse.diags_array((~trial).astype(float), format="csr")
+    product = keep @ local_matrix @ test + sparse.diags_array((~trial).astype(float), format="csr")
     matrix = sparse.bsr_array(sparse.csr_array(product), blocksize=(dim, dim)).sorted_indices()
     return AdjointSystem(contact, matrix, trial, test)
 

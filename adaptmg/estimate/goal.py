@@ -215,6 +215,7 @@ class Goal:
             terms={name: part.sum() for name, part in zip(names, squares, strict=True)},
             indicator=f"dual-weighted residuals for {names[0]}"
             + (f" and {len(names) - 1} more" if len(names) > 1 else ""),
+            # of several quantities ``signed`` is relative
             value=1.0 if len(functionals) > 1 else float(values[0]),
             signed=float(errors[worst] / sizes[worst]),
             names=names,

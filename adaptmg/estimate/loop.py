@@ -63,6 +63,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
+#: what is called with the dict of :func:`adaptmg.adapt` before and after each phase
 Progress = Callable[[dict[str, float | str]], None]
 
 
@@ -238,7 +239,7 @@ class StoredStep:
     levels: list[MeshArrays]  # the meshes of all levels
     history: Refinement | None  # the bisections that made its own mesh
     numbers: dict[str, float]  # total_seconds, work_units, total_work_units
-    timings: dict[str, float]
+    timings: dict[str, float]  # seconds by phase
     path: PathResult | None = None
 
     @classmethod

@@ -143,7 +143,7 @@ class Functional:
 
     name: str  # for tables
     value: float  # of the discrete solution, in ``unit``
-    unit: str
+    unit: str  # SI
     vector: np.ndarray  # (n_dofs,): its derivative by the relative coordinates, Cartesian
 
 

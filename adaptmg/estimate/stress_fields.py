@@ -196,7 +196,7 @@ class Solved:
     """A result with what was posed and the matrix it belongs to."""
 
     posed: Posed
-    discrete: DiscreteProblem
+    discrete: DiscreteProblem  # of the finest level
     result: Result
 
     @property

@@ -49,6 +49,7 @@ _TYPES = (
 _ORDER = {"line3": (0, 2, 1), "hexahedron27": (*range(20), 26, 24, 25, 22, 21, 23, 20)}
 #: the comment that Gmsh writes before elements, which it calls after the entities of its geometry
 _OF_GMSH = "******* E L E M E N T S"
+#: why decks with these keywords are refused
 _REFUSED: dict[str, str] = dict.fromkeys(
     ("NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM"),
     "nodes and elements that the solver generates or moves are not read; write them out",
@@ -58,6 +59,7 @@ _REFUSED |= dict.fromkeys(
     "a deck of parts is not read; write it without parts and "
     "instances (Abaqus/CAE: attributes of the model, 'Do not use parts and assemblies')",
 )
+#: keywords that are noted as not read; of all others nothing is said
 _NOT_READ = (
     "BOUNDARY",
     "CLOAD",
@@ -74,6 +76,7 @@ _NOT_READ = (
     "CLEARANCE",
     "CONTACT INTERFERENCE",
 )
+#: files of a deck, numbers of nodes and elements, and members of a generated set: at most, far beyond any model
 _MOST_FILES, _MOST_NUMBER, _MOST_GENERATED = 100, 10**12, 10**7
 
 
@@ -85,9 +88,9 @@ _NumberedCells = tuple[str, np.ndarray, np.ndarray]
 class _Block:
     """A keyword with its parameters and data lines."""
 
-    keyword: str
-    parameters: dict[str, str]
-    line: int
+    keyword: str  # in capitals, without *
+    parameters: dict[str, str]  # in capitals, but for names of files
+    line: int  # its number in the file, from 1
     data: list[str] = field(default_factory=list)
 
     def rows(self) -> Iterator[list[str]]:

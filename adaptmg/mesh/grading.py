@@ -54,6 +54,7 @@ from adaptmg.problem.solid_domains import SolidDomain, StepFile
 
 _LOG = logging.getLogger(__name__)
 
+#: edge lengths, m: one everywhere, or by position
 SizeFunction = float | SizeField
 
 #: places along each side of a box where the field is read for its least and largest size

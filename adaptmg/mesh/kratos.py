@@ -85,7 +85,8 @@ def _blocks(text: str) -> Iterator[tuple[list[list[str]], list[list[str]]]]:
 
 
 def _dimension(keyword: str, *name: str) -> int:
-    """Return the dimension of the cells of a type."""
+    """Return the dimension of the cells of a block by the words of its Begin line: the ``keyword``, Elements,
+    Conditions (whose cells are facets) or Geometries, and the ``name`` of their type."""
     text = " ".join(name)
     space = 2 if "2D" in text else 3
     thin = [dim for dim, names in _THIN if re.search(names, text)]

@@ -37,6 +37,7 @@ from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.combined_domains import Assembly
 from adaptmg.problem.plane_domains import BOX_SIDES, Box, Domain, Rectangle
 
+#: cells along each axis, or one number for all
 Divisions = int | Sequence[int]
 Value = TypeVar("Value")
 #: what making the mesh takes at its peak, measured

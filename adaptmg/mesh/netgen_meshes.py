@@ -308,7 +308,7 @@ class SolidSizes:
     names: tuple[str, ...] = ()  # boundaries along which edge lengths are ``near``
     near: float = 1.0
     grading: float = GRADING  # growth of the edge length per distance, above 0 and at most 1
-    function: float | SizeField | None = None
+    function: float | SizeField | None = None  # edge lengths that are not exceeded either
 
     def drafts(self, factor: float, slower: float) -> SolidSizes:
         """Return the sizes of a draft, ``factor`` times as large; they grow by ``slower`` times
@@ -359,7 +359,7 @@ class Shape:
     """Properties of an OCC solid at about unit size that a process of Netgen holds."""
 
     names: list[str]  # of its faces
-    areas: list[float]
+    areas: list[float]  # of its faces
     volume: float
     corners: np.ndarray  # (2, 3): of its bounding box
     samples: Sequence[

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
+# what :func:`tables` returns
 Tables = tuple[
     np.ndarray, np.ndarray, np.ndarray, np.ndarray, Sequence[str], np.ndarray, Sequence[str]
 ]
@@ -51,6 +52,7 @@ Sizes = Sequence[tuple[np.ndarray, np.ndarray]]
 # Netgen's element types of first and second order
 _KINDS = {10: "triangle", 12: "triangle", 11: "quad", 14: "quad", 20: "tetra", 21: "tetra"}
 _KINDS |= {22: "pyramid", 23: "wedge", 25: "hexahedron"}
+# largest angle of a spline, of which an arc is one or several
 _MAX_TURN = math.radians(80.0)
 # longest edge on an arc, of its radius; Netgen rounds the number of edges of a piece. Half makes 10 round
 # shapes of 14 to 219 nodes 1.9 times as large, with least angles of 21 degrees in place of 28; twice 20
@@ -285,6 +287,7 @@ def _spline_geometry(
     return geometry
 
 
+# what :func:`_hold` returns
 ShapeTables = tuple[list[str], list[float], float, np.ndarray, list[np.ndarray], np.ndarray]
 
 
@@ -642,6 +645,7 @@ def read_vol(path: str) -> Tables:
     return tables(mesh)
 
 
+# what :func:`read_meshio` returns
 MeshioTables = tuple[np.ndarray, list, dict, dict]
 
 
@@ -689,6 +693,7 @@ def read_meshio(path: str) -> MeshioTables:
     return points, cells, sets, node_sets
 
 
+# by name: numbers of blocks, and rows of these
 _CellSets = dict[str, list[tuple[int, np.ndarray]]]
 
 

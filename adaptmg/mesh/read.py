@@ -122,6 +122,7 @@ def _from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
 
 
 def _file(name: str, path: str | os.PathLike[str]) -> Path:
+    """Return the path of a file; errors, which call it ``name``, if there is none or it is too large to read."""
     path = checks.file_path(name, path)
     checks.fits(name, _BYTES_PER_BYTE * file_size(name, path), f"reading {str(path)!r}")
     return path

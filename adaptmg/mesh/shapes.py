@@ -70,6 +70,7 @@ _CENTRES: dict[str, tuple[Corners, ...]] = {
         tuple(range(8)),
     ),
 }
+#: number of corners of each shape
 _CORNERS = {
     "vertex": 1,
     "line": 2,
@@ -91,6 +92,7 @@ DIMENSIONS = {
     "wedge": 3,
     "hexahedron": 3,
 }
+#: what messages call cells of each shape
 _WORDS = {
     "triangle": "triangles",
     "quad": "quadrilaterals",

@@ -29,6 +29,7 @@ from adaptmg.problem.combined_domains import Assembly
 from adaptmg.problem.plane_domains import BOX_SIDES, Box, Domain, Outline
 from adaptmg.problem.solid_domains import SolidDomain, StepFile
 
+#: from points (n, dim) to edge lengths (n,) there, m
 SizeField = Callable[[np.ndarray], np.ndarray]
 
 #: by dimension: what Netgen makes in about a quarter of an hour (0.2 ms a node in 2D, 0.7 ms in 3D)

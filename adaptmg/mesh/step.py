@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
+#: memory that reading takes for each byte of a file
 _BYTES_PER_BYTE = 50
 # of products without a name, as OCC writes them
 _NO_PRODUCT = "Open CASCADE STEP translator"
@@ -170,12 +171,12 @@ class _Face:
     """A face, m: triangles (n, 3, 3) that are oriented outwards, none where Netgen cannot mesh
     it."""
 
-    number: int
+    number: int  # among the faces of its solid
     name: str
-    kind: str
+    kind: str  # as of :func:`step_table`
     area: float
-    centre: np.ndarray
-    radius: float
+    centre: np.ndarray  # (3,)
+    radius: float  # of cylinders and spheres, else NaN
     triangles: np.ndarray
 
     @cached_property

@@ -63,7 +63,7 @@ class Revolved:
     axis: np.ndarray  # (3,): of length 1
     profile: np.ndarray  # (2,): the normal of the line, or the centre of the circle
     extent: float  # distance of the line from the origin, or the radius of the circle
-    straight: bool
+    straight: bool  # whether it is a line
     edge: Segment | Arc | None = None  # of the plane (x, y): the surface ends where it does
 
     def gaps(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
