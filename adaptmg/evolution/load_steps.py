@@ -133,6 +133,7 @@ def coarse_displacements(hierarchy: Grids, displacement: np.ndarray) -> list[np.
     result = [displacement]
     for level in reversed(hierarchy.levels[1:] if hierarchy.discretised else ()):
         columns = result[0].reshape(level.n_nodes, -1).T
+        # displacements of coarse levels only serve starts, which need no more than eight digits
         nodal = [lsmr(level.prolongation, column, atol=1e-8, btol=1e-8)[0] for column in columns]
         result.insert(0, np.stack(nodal, axis=1).reshape(-1))
     return result

@@ -432,7 +432,7 @@ class March:
             fixed_values=discrete.fixed_values - shifted.reshape(-1),
             slip_reference=discrete.at_contact(discrete.relative(self.displacement) - shifted),
             accumulated_slip=self.accumulated_slip,
-            strain_free=None,
+            strain_free=None,  # tolerances refer to the whole displacement
             volumes=discrete.volumes,
             gaps=-self._overlap(shift),
         )

@@ -135,7 +135,8 @@ class PlasticLoop(PathLoop):
         progress: Callable[[int, dict[str, float]], None] | None,
         loose: float,
     ) -> tuple[Result, tuple[Grids, list[np.ndarray] | None]]:
-        """Solve step k by Newton's method; see :meth:`PathLoop._solve`."""
+        """Solve step k by Newton's method; see :meth:`PathLoop._solve`. It has its own start and
+        tolerances: ``near`` and ``loose`` are not used."""
         run, grids, forces = self._set_up(k, motions, progress)
         problem = grids.finest.discrete
         data = self._stress_data(k, motions)

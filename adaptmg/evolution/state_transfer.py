@@ -103,7 +103,8 @@ def transfer_state(old_grids: Grids, result: Result, new_grids: Grids) -> Result
     except ValueError as error:
         raise ValueError(f"old_grids and new_grids, here coarse and fine: {error}") from error
     try:
-        # a body that lacks a part of the old one has all its nodes inside
+        # this raises where old nodes lie outside: a body that lacks a part of the old one has all its nodes
+        # inside
         locate_nodes(mesh, old_mesh)
     except ValueError as error:
         raise ValueError(f"new_grids and old_grids, here coarse and fine: {error}") from error

@@ -112,8 +112,10 @@ def correction_contact(
     residual: np.ndarray,
     initial: InitialContact | None,
 ) -> NodalContact:
-    """Return the contact data of the coarse correction problem at a fine iterate (n_dofs,) with its
-    residual (n_dofs,)."""
+    """Return the contact data D, U and G of the coarse correction problem (module) at a fine iterate
+    (n_dofs,) with its residual (n_dofs,). ``system`` and ``contact`` are those of the fine level,
+    ``coarse`` is the system of the coarse one; ``reach`` and ``initial`` are those of
+    :meth:`Correction.transport`."""
     values = unknowns.reshape(-1, system.dim)[system.nodes]
     fine_slip = values[:, 1:] - contact.slip_reference
     # where a support moves a node along one tangent, a correction E changes the length of its slip tau

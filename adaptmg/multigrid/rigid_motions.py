@@ -137,7 +137,8 @@ class RigidMotions:
 
     @cached_property
     def work(self) -> np.ndarray | None:
-        """Return the work (m,) of the load on the motions; None where they strain the body."""
+        """Return the work (m,) of the load on the motions; None where they strain the body, as user-defined
+        modes may."""
         motions = _free_motions(self.problem)
         forces = self.problem.matrix @ motions
         forces[self.problem.fixed] = 0.0
@@ -292,7 +293,8 @@ def _step_length(
     slip: np.ndarray, slip_rate: np.ndarray, bound: np.ndarray, work: float, stop: float
 ) -> float:
     """Return the length alpha <= ``stop`` of a step at which the slope of phi along it vanishes,
-    -F.d + sum g (tau + alpha T d).T d / |tau + alpha T d|; T d is the ``slip_rate``, F.d the
+    -F.d + sum g (tau + alpha T d).T d / |tau + alpha T d|; tau is the ``slip`` and T d the
+    ``slip_rate`` (n_contact, dim - 1), g the ``bound`` (n_contact,), 0 where T d is, F.d the
     ``work``."""
     rubs = bound > 0
     size = np.linalg.norm(slip, axis=1)

@@ -323,8 +323,8 @@ def _of_nested_elements(hierarchy: Grids, above: Level, below: Level) -> bool:
     """Return whether the coarse matrix is by construction the Galerkin matrix of the finer one if this
     is discretised, too: both are of linear elements with constant moduli on lattices of one body,
     the finer lattice divides the coarser one by the same number along all axes, and the
-    prolongation is their interpolation. To test the matrices takes 20 ms with 263k nodes, of 530
-    for hierarchy and solve."""
+    prolongation is their interpolation. All else is left to the test of the matrices, which takes 20 ms
+    with 263k nodes, of 530 for hierarchy and solve."""
     fine = above.posed
     coarse = below.posed
     if hierarchy.transfer is not None or fine is None or coarse is None:

@@ -222,8 +222,8 @@ class TruncatedStep:
         return _product(load, correction)
 
     def smooth(self, state: TruncatedState) -> TruncatedState:
-        """Improve the iterate of a state from :meth:`correct` locally, in place, and write f - A u to
-        its residual; return the state, which :meth:`linearise` takes."""
+        """Improve the iterate of a state from :meth:`correct` locally, in place, and write f - B'p - A u
+        to its residual; return the state, which :meth:`linearise` takes."""
         self._sweep(state)
         if self.interface is not None:
             for k in range(self.options.interface_sweeps):
@@ -399,7 +399,7 @@ class TruncatedStep:
 
     def _projected_sweeps(self, state: TruncatedState) -> None:
         """Sweep backward and forward, half a pass over the matrix each, as both read L alone; write
-        f - A u to the residual. The forward sweep alone completes it, at contact nodes with their
+        f - B'p - A u to the residual. The forward sweep alone completes it, at contact nodes with their
         diagonal blocks: other nodes have no residual after their solve."""
         matrix = self.matrix
         contact = state.contact

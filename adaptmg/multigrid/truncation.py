@@ -474,7 +474,8 @@ def changed_blocks(
 
 @inner_kernel
 def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices, rank):
-    """Return the slot of block (row, column), -1 where the matrix has none."""
+    """Return the slot of block (row, column) in a split matrix with the halves l and u, whose rows are in
+    the order of the sweeps: ``rank`` has the place of a node. -1 where the matrix has no such block."""
     n = len(l_indptr) - 1
     below = np.int64(l_indptr[n])
     if row == column:
@@ -527,10 +528,11 @@ def fill_contributions(
     coarse_rows,
     coarse_columns,
 ):
-    """Find where each fine block goes: coarse block ``target`` gets ``weight`` times block
-    ``source``. ``number`` (slots of the coarse matrix,) comes as -1 and numbers the coarse blocks
-    met. Returns their number, the number of products, and how many of them found no place in the
-    coarse matrix."""
+    """Find where each fine block, at ``rows`` and ``columns`` (n_blocks,), goes by the prolongation
+    ``indptr, indices, weights``: coarse block ``target`` gets ``weight`` times block ``source``.
+    ``number`` (slots of the coarse matrix,) comes as -1 and numbers the coarse blocks met, whose
+    ``slots``, rows and columns are written. Returns their number, the number of products, and how many
+    of them found no place in the coarse matrix."""
     n_products = 0
     n_met = 0
     n_lost = 0
@@ -588,8 +590,9 @@ def store(
     scale,
 ):
     """Write base + change to a split matrix; ``change`` is zeroed in rows and columns of fixed dofs
-    first. ``diagonal`` may be empty where nobody needs it; ``block`` (dim * dim,) and ``scale``
-    (dim,) are overwritten."""
+    first. ``free`` is the mask of the others, ``below`` the number of blocks of L, with which slots
+    begin. ``diagonal`` may be empty where nobody needs it; ``block`` (dim * dim,) and ``scale`` (dim,)
+    are overwritten."""
     size = dim * dim
     n = len(inverse) // size
     for t in range(len(slots)):

@@ -97,6 +97,7 @@ def prolonged_pressures(
     if not len(coarse.volumes):
         return np.zeros(len(fine.volumes))
     values = coarse.volumes.at_nodes(pressures)
+    # to relative values, and on the finer level back to those of bodies
     if coarse.coupling is not None:
         values = values - coarse.coupling.weights @ values
     values = nodal @ values
@@ -111,8 +112,8 @@ _MOST = 100.0  # c
 
 @remembered_of_structure
 def _formed(problem: DiscreteProblem) -> tuple[DiscreteProblem, np.ndarray]:
-    """Return the problem with the matrix A + sum kappa b b' / area over the rows b of the volumes, and
-    kappa (n_groups,), bounded where a material is incompressible."""
+    """Return the problem with the matrix K' + B'A^-1 kappa~ B of the module, without volumes, and
+    kappa~ (n_groups,) = min(kappa, c (lambda_1 + mu)), Pa."""
     volumes = problem.volumes
     with np.errstate(divide="ignore"):
         kappa = np.minimum(1 / volumes.compliance, _MOST * volumes.modulus)

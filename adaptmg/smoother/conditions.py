@@ -145,6 +145,7 @@ class Linearised:
 
     @property
     def symmetric(self) -> bool:
+        """Return whether the matrix stays symmetric: no pressure changes friction."""
         return not self.coupling.any()
 
     @property

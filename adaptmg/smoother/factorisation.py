@@ -316,7 +316,8 @@ class Condensed(Eliminated):
         return unknowns[self.contact]
 
     def recover(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return all unknowns from those at the contact nodes, local components."""
+        """Return all unknowns (n_dofs,) from those at the contact nodes (n_contact * dim,), local
+        components."""
         # one step of iterative refinement of the interior
         result = self.complete(self.reduced[0], unknowns)
         rest = self.full.load - self.full.system.matrix @ result

@@ -224,7 +224,8 @@ def solve_3d(
     )
     w_n = c_n / m_nn - ratio_1 * slip_1 - ratio_2 * slip_2
     if not w_n <= gap:
-        # closed: w_n = gap + compliance p; soft p_stick is how far the surface gives way without slip
+        # closed: w_n = gap + compliance p; share is lambda of the module, and soft p_stick how far the
+        # surface gives way without slip
         p_stick = c_n - m_nn * gap
         share = 1.0 / (1.0 + compliance * m_nn)
         soft = compliance * share

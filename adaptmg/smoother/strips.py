@@ -35,8 +35,9 @@ class Strips:
     @classmethod
     def of(cls, rows: BlockRows, stored: bool = True) -> Strips:
         """Return the strips of a matrix with a symmetric pattern. Where the numbers of neighbours differ
-        much, strips go by distance in the graph, which only several threads do: sweeps then jump in
-        memory, a third slower even if rows are ``stored`` in their order."""
+        much, strips may go by distance in the graph. Sweeps then jump in memory, which is a third slower
+        even if the caller has the rows ``stored`` in the order of the strips: so only with that, and only
+        for several threads."""
         n = rows.n_nodes
         numbering = np.arange(n, dtype=np.int32)
         single = cls(numbering, numbering, [[(0, n)]])
@@ -56,7 +57,7 @@ class Strips:
 
     def sweep(self, kernel: Callable[..., Any], *arguments: object, backward: bool = False) -> None:
         """Call ``kernel(first, last, order, *arguments)``, which sweeps over these places, for all
-        strips."""
+        strips, those of a colour at the same time, ``backward`` the odd ones first."""
         if len(self.colours) == 1:  # quick for small matrices
             kernel(0, len(self.order), self.order, *arguments)
             return

@@ -172,6 +172,7 @@ class NodalContact:
             self.gap[:], self.compliances[:] = laws
         if self.friction_at is not None:
             slip = np.linalg.norm(values[:, 1:] - self.slip_reference, axis=1)
+            # of forces of either sign: laws see pressures of at least 0
             self.friction[:] = self.friction_at(residual[:, 0], slip)
 
     def tangent(

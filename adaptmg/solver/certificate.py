@@ -292,8 +292,8 @@ class Evidence:
         pressures: np.ndarray = NO_PRESSURES,
         residual: np.ndarray | None = None,
     ) -> None:
-        """Measure a displacement (n_nodes, dim), m; ``residual`` (n_dofs,): f - A w, N, if it is
-        known."""
+        """Measure a displacement (n_nodes, dim), m, with the ``pressures`` (n_groups,), Pa, of volumes;
+        ``residual`` (n_dofs,): f - B'p - A w, N, if it is known."""
         self.u = displacement.reshape(problem.n_nodes, problem.dim)  # of the bodies
         if problem.dim == 1:
             # of two obstacles the conditions are those of the nearest
@@ -434,6 +434,7 @@ class Evidence:
         scale = self.problem.contact.compliance
         exponent = self.problem.contact.exponent
         pressure = np.maximum(self.pressure, 0.0)
+        # without a force the derivative is infinite
         least = checks.ROUNDING * (pressure.max(initial=0.0) or 1.0)
 
         def derivative(force: np.ndarray) -> np.ndarray:

@@ -288,7 +288,7 @@ def correction(
         # -A (b v - p/kappa)
         load = np.append(load, -problem.volumes.areas * missed)
     size = load @ load
-    if not 0.0 < size < np.inf:
+    if not 0.0 < size < np.inf:  # nothing is missed, or the displacement has diverged
         none = np.zeros((len(status.nodes), problem.dim))
         return HeldCorrection(0.0 if size == 0.0 else np.inf, none, none)
     if aggregates is not None:

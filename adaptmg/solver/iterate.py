@@ -493,8 +493,8 @@ class Smoothing:
         self.correct = correct
 
     def step(self, state: State) -> State:
-        """Return the state after a correction, which a start does not get, and smoothing; its memory
-        is the number of sweeps."""
+        """Return the state after a correction, which a start, that has no residual, does not get, and
+        smoothing; its memory is the number of sweeps."""
         unknowns = state.unknowns.copy()
         cycles = state.cycles
         if self.correct is not None and state.residual is not None:
@@ -543,6 +543,7 @@ class Smoothing:
         start = State(unknowns=unknowns)
         if stop == "error":
             test = StopTest(rtol, limit, shortfall=shortfall, stalled=stalled)
+            # the first state that is measured is a smoothed start
             return *iterate(self.step, self.norms.of, self.step(start), test, run), test
         test = ChangeTest(rtol, limit, measure=self.norms.of)
         first = self.whole_step(start)

@@ -106,7 +106,7 @@ def _levels_that_pay(grids: Grids) -> tuple[Grids, Solver, str]:
     finest = grids.finest
     nodes = [level.n_nodes for level in grids.levels]
     least_ratio = WIDE[grids.finest.discrete.dim]
-    if finest.discrete.dim * nodes[0] <= LARGE_COARSEST:
+    if finest.discrete.dim * nodes[0] <= LARGE_COARSEST:  # its factors cost little
         return grids, FullMultigrid(), ""
     if (
         nodes[-1] < least_ratio * nodes[0]
@@ -128,7 +128,8 @@ def _levels_that_pay(grids: Grids) -> tuple[Grids, Solver, str]:
             last_taken = level
         else:
             too_close.append(level)
-    # the seconds that made the levels are not those of the solve
+    # the seconds that made the levels are not those of the solve. Without a problem there are no meshes
+    # between which a prolongation could be made, and all levels stay
     grids = replace(grids, timings={})
     for level in reversed(too_close if grids.problem is not None else ()):
         grids = grids.without(level)

@@ -121,6 +121,7 @@ class ProjectedRun:
         local = self.problems[0]
         unknowns = np.zeros(local.system.n_dofs)
         project(local, unknowns)
+        # more accurate than in the cycles, by the tolerance of the nested start
         multigrid.coarse = replace(self.coarse, rtol=start.rtol, atol=0.0, test="error")
         multigrid.solve_coarsest(local.contact, local.load, unknowns)
         self._remember(multigrid, 0, unknowns)

@@ -65,6 +65,7 @@ class Quantities:
         from adaptmg.transfer import PointLocator
 
         mesh = need_mesh(self)
+        # a vector, or a list of numbers, is a single point
         is_point = getattr(points, "ndim", 0) == 1 or (
             isinstance(points, (list, tuple)) and not any(map(np.ndim, points))
         )
@@ -123,6 +124,7 @@ class Quantities:
         """Return the principal stresses (n, 3), largest first, Pa, of :meth:`stress`, whose
         arguments it takes."""
         tensors = as_tensors(self.stress(at, recovered=recovered))
+        # NaN where a stress is, which eigvalsh refuses
         principal = np.full((len(tensors), 3), np.nan)
         finite = np.isfinite(tensors).all(axis=(1, 2))
         principal[finite] = np.linalg.eigvalsh(tensors[finite])[:, ::-1]
@@ -384,6 +386,7 @@ class Quantities:
             of_springs = np.array(self.springs[boundary])
             force = of_springs[: self.dim]
             total = total + force
+            # their moment about the origin is taken to ``about``
             turning = of_springs[self.dim :] - moment(about[None], force[None]) + turning
         return Resultant(total, turning if self.dim == 3 else float(turning[0]))
 

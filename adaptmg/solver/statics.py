@@ -265,7 +265,8 @@ def _check_balance(body: _Body, forces: _Forces, work: np.ndarray) -> None:
 
 
 def _check_unique(body: _Body, forces: _Forces, has_friction: bool) -> None:
-    """Raise ValueError if no contact force works on some free motion."""
+    """Raise ValueError if no contact force works on some free motion; after :func:`_check_balance` the
+    load does not, either."""
     neutral = _null_combinations(np.hstack([forces.edges, forces.segments]).T)
     if not len(neutral):
         return

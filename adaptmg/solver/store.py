@@ -330,7 +330,7 @@ class StepStore:
         not this step. ``more``: what the computation needs next to the result to go on from there, such
         as an :class:`adaptmg.estimate.loop.StoredStep` of an adaptive loop."""
         if os.path.lexists(self._step_file(number)):
-            self._read(number)
+            self._read(number)  # which raises unless it is this step
         else:
             content = packed(value, self.kinds, more, {"step": number, "key": self.key})
             write_bytes(self._step_file(number), content)
