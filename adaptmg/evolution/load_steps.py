@@ -336,7 +336,8 @@ class Controls:
         return [list(map(float, numbers)) for numbers in result]
 
     def check_pressed(self, factors: Mapping[str, float]) -> None:
-        """Raise ValueError where the factor of the only force of an obstacle does not press it."""
+        """Raise ValueError where the factor of the only force of an obstacle does not press it; of several
+        forces some may be absent or pull."""
         for obstacle in self.rigid.values():
             only, *further_forces = obstacle.forces
             if not (further_forces or factors[only] > 0):

@@ -154,7 +154,8 @@ class RigidMotions:
         step = _free_motions(self.problem) @ change
         step[self.problem.fixed] = 0.0
         unknowns += step
-        # equal up to rounding; gaps and slips that vanish must do so to the bit
+        # the local values are those of these unknowns up to rounding; gaps and slips that vanish must do
+        # so to the bit
         dim = contact.dim
         values = np.einsum("nji,nj->ni", contact.node_frames, contact.values.reshape(-1, dim))
         fixed = self.problem.fixed.reshape(-1, dim)[contact.nodes]

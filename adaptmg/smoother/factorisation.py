@@ -302,11 +302,13 @@ class Condensed(Eliminated):
     def problem(self) -> LocalProblem:
         """Return the condensed problem."""
         full = self.full
-        n = len(self.full.system.nodes)
-        dim = self.full.system.dim
+        dim = full.system.dim
         fixed = full.system.fixed[self.contact]
+        # its nodes are the contact nodes alone
         dense = LocalSystem.from_matrix(
-            sparse.bsr_array(self.matrix, blocksize=(dim, dim)), fixed, np.arange(n)
+            matrix=sparse.bsr_array(self.matrix, blocksize=(dim, dim)),
+            fixed=fixed,
+            nodes=np.arange(len(full.system.nodes)),
         )
         turn_held(dense.diagonal, dense.nodes, full.contact)
         return replace(full, system=dense, load=np.where(fixed, 0.0, self.load))
