@@ -88,7 +88,9 @@ class BlockRows:
     @cached_property
     def diagonal_places(self) -> np.ndarray:
         """Return the places (n_nodes,) of the diagonal blocks in the table."""
-        if len(self.kinds):
+        if len(
+            self.kinds
+        ):  # each row of the table has one diagonal block, whose column minus row is 0
             return np.flatnonzero(self.indices == 0).astype(np.int32)[self.kinds]
         return diagonal_places(self.matrix)
 

@@ -434,6 +434,7 @@ def pattern(
     n = len(of_nodes[0]) - 1
     indptr = np.zeros(n + 1, dtype=np.int64)
     arguments = *of_nodes, start, nodes, indptr
+    # for each node of a patch some 8 numbers are read
     columns = in_parts(_find_neighbours, n, 8 * len(nodes), *arguments)
     if not indptr[1:].all():
         raise ValueError(f"node {np.argmin(indptr[1:])} belongs to no element; remove unused nodes")

@@ -523,7 +523,7 @@ def _common_parts(
     has_part = moments[:, 0] > 0
     slave = slave[has_part]
     master = near[has_part]
-    master_corners = master_corners[has_part, ::-1]
+    master_corners = master_corners[has_part, ::-1]  # in the order of ``surfaces.master`` again
     moments = moments[has_part]
     area = moments[:, 0]
     centroid = moments[:, 1:3]

@@ -106,13 +106,14 @@ class Volumes:
         return forces - self.forces(pressures) if len(self) else forces
 
     def strains(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the mean divergence b u (n_groups,) without that of free expansion."""
+        """Return the mean divergence (n_groups,) of unknowns (n_dofs,), with that of what inclined supports
+        prescribe, and without that of free expansion."""
         if not len(self):
             return NO_PRESSURES
         return (self.rows @ unknowns) / self.areas - self.expansion + self.prescribed
 
     def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
-        """Return b u - p / kappa (n_groups,)."""
+        """Return the :meth:`strains` minus p / kappa (n_groups,)."""
         return self.strains(unknowns) - self.compliance * pressures
 
     def energy(self, pressures: np.ndarray) -> float:
@@ -221,9 +222,10 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
 def _moduli_of_bodies(
     materials: tuple[Elastic, ...], inelastic: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return kappa = lambda - lambda_1 (n_bodies,), 0 for bodies without groups, and lambda_1 + mu
-    (n_bodies,), see :attr:`Volumes.modulus`. lambda_1 is the part of lambda up to 4 mu, of plastic
-    bodies less, that the means of smoothed elements around edges keep."""
+    """Return kappa = lambda - lambda_1 (n_bodies,), 0 for bodies without groups and for those that are
+    not ``inelastic`` (if False, that are), and lambda_1 + mu (n_bodies,), see :attr:`Volumes.modulus`.
+    lambda_1 is the part of lambda up to 4 mu, of plastic bodies less, that the means of smoothed elements
+    around edges keep."""
     lame, shear = lame_constants(materials)
     edge_lame = np.minimum(lame, edge_parts(materials) * shear)  # lambda_1
     isotropic = np.array([elastic.anisotropy is None for elastic in materials])

@@ -192,6 +192,7 @@ def improve_triangles(
     for _ in range(rounds - 1):
         _move(points, elements, around, held)
         if swap_all(points, elements, across, np.ones(len(elements), dtype=bool)):
+            # other elements are around the ends of swapped edges
             around = occurrences(elements, len(points))
     _move(points, elements, around, held)
 
