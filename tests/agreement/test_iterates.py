@@ -69,16 +69,14 @@ def random_start(case, law, seed):
 
 @pytest.mark.parametrize("law", ["frictionless", "tresca"])
 @pytest.mark.parametrize("case", ["bar", "graded", "block"])
-@pytest.mark.parametrize("method", ["single", "V", "W", "F", "symmetric"])
+@pytest.mark.parametrize("method", ["V", "W", "F", "symmetric"])
 def test_the_energy_of_iterates_never_rises(method, case, law):
+    """Of sweeps on one grid: tests/smoother."""
     local = am.smoother.local_system(grids(case, law).finest.discrete)
-    start = random_start(case, law, 0)
+    start = random_start(case, law, 1)
     energies = []
     for cycles in (1, 2, 3, 5):
-        solver = replace(
-            METHODS[method],
-            **{"max_sweeps" if method == "single" else "max_cycles": cycles},
-        )
+        solver = replace(METHODS[method], max_cycles=cycles)
         iterate = am.solve(grids(case, law), solver, start=start, throw=False).displacement
         w = local.to_local(local.discrete.relative(iterate))
         energies.append(tresca_energy(local, w))

@@ -13,7 +13,7 @@ RECTANGLE = am.Polygon(
 )
 
 
-@mock.patch.dict(netgen_guard.LIMIT_S, {3: 3.0})
+@mock.patch.dict(netgen_guard.LIMIT_S, {3: 1.0})
 def _meshed(domain):
     am.mesh.graded(domain, 0.2)
 

@@ -284,19 +284,19 @@ def test_faces_that_lie_on_each_other_are_pairs(clamped):
     assert found(tolerance=0.6e-3) - tight - loose == {("nut_3.face3", "plate.face3")}
 
 
-def test_a_step_file_is_drawn_with_its_faces(clamped):
-    chosen = am.StepFile(clamped, solids=["plate", "nut.1"])
+def test_a_step_file_is_drawn_with_its_faces(two):
+    domain = am.StepFile(two)
     posed = am.ContactProblem(
-        domain=chosen,
+        domain=domain,
         material=am.Solid(young=2e11, poisson=0.3),
         law=am.Coulomb(0.2),
-        contact=am.mesh.touching(chosen),
-        supports=[am.Support("plate.face5", x=0, y=0, z=0)],
-        loads=[am.Pressure("nut.face2", 1e6)],
+        contact=am.mesh.touching(domain),
+        supports=[am.Support("lower.bottom", x=0, y=0, z=0)],
+        loads=[am.Pressure("upper.top", 1e6)],
     )
     texts = {text.get_text() for text in am.plot.problem(posed).axes[0].texts}
     assert len(texts) >= 3 and texts <= {
-        f"{body}.face{k}" for body in ("nut", "plate") for k in range(1, 8)
+        f"{body}.{side}" for body in ("lower", "upper") for side in SIDES
     }
 
 

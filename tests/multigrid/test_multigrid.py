@@ -27,26 +27,6 @@ def cycle_of(grids, **options):
     return cycle, am.smoother.local_system(grids.finest.discrete), run
 
 
-def test_the_frozen_slip_and_limit_of_the_paper_move_the_solution():
-    """Its mode stalls, and says so."""
-    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
-    result = am.solve(
-        grids,
-        am.FullMultigrid(
-            correction=am.PaperCorrection(),
-            stop="change",
-            rtol=1e-10,
-            cycle=am.Cycle(shape="complete"),
-            coarse=am.CoarseSolve(rtol=1e-10),
-        ),
-        throw=False,
-        reference=am.solve(grids, am.ActiveSet(rtol=1e-12)),
-    )
-    assert result.status is am.Status.STALLED
-    assert result.history["true_error"][-1] > 1e-4
-    assert "Monotone" in result.status.value
-
-
 WOOD = am.PlaneStrain.orthotropic(
     young=(12e9, 0.8e9, 0.5e9),
     poisson=(0.4, 0.4, 0.5),

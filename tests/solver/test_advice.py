@@ -427,7 +427,7 @@ def test_contact_that_fills_its_boundary_needs_no_more_nodes():
     whole = bar(pressure=0.0)
     assert not am.solve(whole).advice and (am.solve(whole).contact.state != am.OPEN).all()
     corner = am.cases.hertz_sphere(dim=3)
-    (line,) = am.solve(am.Hierarchy.graded(corner, contact_ratio=30)).advice
+    (line,) = am.solve(am.Hierarchy.graded(corner, contact_ratio=20)).advice
     # on a quarter of a disc a node has the area of two equilateral triangles
     size = corner.reference["half_width"] * np.sqrt(np.pi / 4 / 60 / np.sqrt(0.75))
     assert "need 60" in line

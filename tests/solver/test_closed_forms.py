@@ -52,12 +52,9 @@ def test_what_is_right_passes(elements):
     assert am.solve(pair).certificate()["stiffness"].relative < 1e-11
 
 
-def damaged(hierarchy, matrix=None, load=None):
-    """The hierarchy with another finest matrix or load."""
-    discrete = hierarchy.finest.discrete
-    parts = {"matrix": matrix, "load": load}
-    wrong = discrete.posing(**{name: value for name, value in parts.items() if value is not None})
-    finest = hierarchy.finest.posing(discrete=wrong)
+def with_finest(hierarchy, discrete):
+    """The hierarchy with another finest problem."""
+    finest = hierarchy.finest.posing(discrete=discrete)
     return replace(hierarchy, levels=(*hierarchy.levels[:-1], finest))
 
 
@@ -72,19 +69,22 @@ def test_a_spring_at_another_place_contradicts_however_loose_the_tolerance():
     stiffness[other, other] += lost
     wrong = sparse.bsr_array(sparse.csr_array(stiffness), blocksize=(2, 2))
     for solver in (am.ActiveSet(), am.FullMultigrid(rtol=0.1)):
-        result = am.solve(damaged(hierarchy, matrix=wrong), solver, throw=False)
+        posed = with_finest(hierarchy, discrete.posing(matrix=wrong))
+        result = am.solve(posed, solver, throw=False)
         assert not result.status.ok
         assert "stiffness" in result.certificate().contradictions(0.1)
 
 
 def test_a_load_of_another_moment_contradicts():
     hierarchy = grids(2)
-    load = hierarchy.finest.discrete.load.copy()
+    discrete = hierarchy.finest.discrete
+    load = discrete.load.copy()
     top = hierarchy.finest.mesh.boundary_nodes("top")
     change = 1e-3 * np.abs(load).max()
     load[2 * top[0]] += change  # the same force
     load[2 * top[-1]] -= change
-    result = am.solve(damaged(hierarchy, load=load), am.ActiveSet(), throw=False)
+    wrong = with_finest(hierarchy, discrete.posing(load=load))
+    result = am.solve(wrong, am.ActiveSet(), throw=False)
     assert not result.status.ok
     assert result.certificate().contradictions(1e-3) == ("loads",)
 
@@ -135,10 +135,7 @@ def recoupled(discrete, row, weights):
 
 
 def contradictions(hierarchy, discrete):
-    finest = hierarchy.finest.posing(discrete=discrete)
-    result = am.solve(
-        replace(hierarchy, levels=(*hierarchy.levels[:-1], finest)), am.ActiveSet(), throw=False
-    )
+    result = am.solve(with_finest(hierarchy, discrete), am.ActiveSet(), throw=False)
     assert not result.status.ok
     return result.certificate().contradictions(result.rtol)
 

@@ -149,21 +149,3 @@ def test_the_last_iterate_is_accepted_if_it_is_good_enough():
 def test_errors_that_grow_without_bound_have_diverged(errors):
     result, _ = solved("coulomb", errors)
     assert result.status is am.Status.DIVERGED
-
-
-def test_the_solution_of_another_law_is_not_accepted():
-    grids, *_ = posed("coulomb")
-    *_, other, _ = posed("frictionless")
-    method = Approach("coulomb", [0.0])
-    method.exact = other
-    assert not am.solve(grids, method, throw=False).status.ok
-
-
-def test_a_penetrating_iterate_is_not_accepted():
-    grids, _, exact, _ = posed("coulomb")
-    nodes = grids.finest.discrete.contact.nodes
-    inside = exact.copy()
-    inside[2 * nodes] += 1e-4 * np.abs(exact).max()
-    method = Approach("coulomb", [0.0])
-    method.exact = inside
-    assert not am.solve(grids, method, throw=False).status.ok

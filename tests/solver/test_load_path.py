@@ -487,8 +487,6 @@ def test_failure_names_the_step_and_keeps_the_others(rough, tmp_path):
     results = am.solve_path(rough, CYCLE, am.FullMultigrid(max_cycles=3), throw=False)
     assert len(results) == 1 and not results.complete and results[-1].status is am.Status.LIMIT
     assert "1 of 4 steps" in repr(results)
-    with pytest.raises(ValueError, match="at least two levels"):
-        am.solve_path(rough.finest.discrete, am.LoadPath(), am.FullMultigrid())
 
 
 def test_table_sequence_and_progress(rough, cycle):

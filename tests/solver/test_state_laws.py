@@ -2,11 +2,13 @@
 proportion or by a power law."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from bodies import EXACT, bar_hierarchy, bar_on_block, rotation, turned
 from norms import distance, far
+from paths import resumed
 from refused import refused
 from scipy.optimize import root
 
@@ -160,15 +162,7 @@ def test_friction_of_a_rigid_block_falls_with_its_path(method):
 
 
 def test_stored_paths_go_on_with_the_slips_so_far(tmp_path):
-    def stop(k, result):
-        if k == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        am.solve_path(dragged(), DRAG, store=tmp_path, callback=stop)
-    again = am.solve_path(dragged(), DRAG, store=tmp_path)
-    for one, other in zip(am.solve_path(dragged(), DRAG), again, strict=True):
-        np.testing.assert_array_equal(one.displacement, other.displacement)
+    resumed(dragged(), DRAG, None, tmp_path, after=2)
     with pytest.raises(ValueError, match="law differs"):
         am.solve_path(dragged(lambda p, s: wearing(p, 1.1 * s)), DRAG, store=tmp_path)
 
@@ -187,6 +181,7 @@ def test_column_sinks_by_its_shortening_and_the_layer(place, method, layer):
     np.testing.assert_allclose(-result.contact.gap, depth, rtol=1e-9)
 
 
+@cache
 def layered(body, compliance, method, law=am.Coulomb(0.4)):
     if body == "obstacle":
         return am.solve(block(law, PLANE, compliance, 3e7), method)
@@ -219,6 +214,11 @@ def on_a_dome(place, layer, law, diameter=10):
     return grids.with_problem(replace(grids.problem, contact=replace(part, obstacle=obstacle)))
 
 
+@cache
+def on_a_soft_dome(place, method):
+    return am.solve(on_a_dome(place, SOFT, am.Frictionless()), method)
+
+
 @pytest.mark.parametrize("place", [PLANE, SPACE], ids=("plane", "space"))
 @LAYERS
 def test_layers_agree_with_a_dense_solve(place, layer):
@@ -244,13 +244,13 @@ def test_layers_agree_with_a_dense_solve(place, layer):
         tangent = matrix + rows.T @ ((contact.weights * slopes)[:, None] * rows)
         return matrix @ u + rows.T @ forces - load, tangent
 
-    start = am.solve(on_a_dome(place, SOFT, am.Frictionless()), EXACT).displacement.reshape(-1)
+    start = on_a_soft_dome(place, EXACT).displacement.reshape(-1)
     solution = root(residual, start[near], jac=True, options={"xtol": 1e-14})
     expected = contact.gaps - rows @ solution.x
     found = am.solve(grids, FINE)
     assert found.contact.counts()["open"] and found.contact.closed.sum() > 4
     np.testing.assert_allclose(found.contact.gap, expected, atol=1e-8 * np.abs(expected).max())
-    assert found.cycles <= am.solve(on_a_dome(place, SOFT, am.Frictionless()), FINE).cycles + 2
+    assert found.cycles <= on_a_soft_dome(place, FINE).cycles + 2
 
 
 def test_sweeps_of_a_single_grid_find_how_deep_a_soft_surface_yields():
@@ -281,22 +281,14 @@ def test_a_punch_without_other_loads_slides_on_a_layer(layer):
 
 
 def test_stored_paths_go_on_with_the_layer(tmp_path):
-    def stop(k, result):
-        if k == 1:
-            raise KeyboardInterrupt
-
     grids = on_a_dome(PLANE, CURVED, am.Coulomb(0.4))
     pressed = [replace(load, name=load.boundary) for load in grids.problem.loads]
     grids = grids.with_problem(replace(grids.problem, loads=pressed))
     path = am.LoadPath({"top": [0.2, 1, 1, 0.3], "left": [0, 0.5, 1, 0]})
-    with pytest.raises(KeyboardInterrupt):
-        am.solve_path(grids, path, FINE, store=tmp_path, callback=stop)
-    results = am.solve_path(grids, path, FINE, store=tmp_path)
-    for one, other in zip(am.solve_path(grids, path, FINE), results, strict=True):
-        np.testing.assert_array_equal(one.displacement, other.displacement)
-        pressure = (np.minimum(other.contact.gap, 0) / CURVED.compliance) ** 2
-        np.testing.assert_allclose(other.contact.pressure, pressure, atol=1e-8 * PRESSURE)
-        assert not other.certificate().contradictions(1e-9)
+    for step in resumed(grids, path, FINE, tmp_path, after=1):
+        pressure = (np.minimum(step.contact.gap, 0) / CURVED.compliance) ** 2
+        np.testing.assert_allclose(step.contact.pressure, pressure, atol=1e-8 * PRESSURE)
+        assert not step.certificate().contradictions(1e-9)
     contact = replace(grids.problem.contact[0], compliance=replace(CURVED, exponent=2.1))
     other = grids.with_problem(replace(grids.problem, contact=contact))
     with pytest.raises(ValueError, match="contact differs"):
