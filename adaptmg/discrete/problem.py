@@ -47,7 +47,7 @@ Others = ParamSpec("Others")
 
 
 class Computed(dict):
-    """Values that functions have computed from a problem, by function; pickled without them."""
+    """Values that functions have computed from a problem, by function and arguments; pickled without them."""
 
     def __reduce__(self) -> tuple[object, ...]:
         return Computed, ()
@@ -469,16 +469,17 @@ class DiscreteProblem(Unknowns):
 def remembered(
     function: Callable[Concatenate[DiscreteProblem, Others], Value],
 ) -> Callable[Concatenate[DiscreteProblem, Others], Value]:
-    """Make a function compute once for each problem, to which its other arguments belong;
+    """Make a function compute once for each problem and its other arguments, which are hashable;
     exceptions are not remembered."""
 
     @wraps(function)
     def remembering(
         problem: DiscreteProblem, *arguments: Others.args, **named: Others.kwargs
     ) -> Value:
-        if function not in problem._computed:
-            problem._computed[function] = function(problem, *arguments, **named)
-        return problem._computed[function]
+        key = function, *arguments, *named.values()
+        if key not in problem._computed:
+            problem._computed[key] = function(problem, *arguments, **named)
+        return problem._computed[key]
 
     return remembering
 

@@ -39,7 +39,7 @@ from adaptmg.multigrid.truncated_parts import FrameSmoother, Truncated
 from adaptmg.multigrid.truncated_step import CoarseContact, TruncatedState, TruncatedStep
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.smoother.system import frames_and_fixed
-from adaptmg.solver.active_set import coarsest_solution
+from adaptmg.solver.active_set import coarsest_solution, coarsest_solution_near
 from adaptmg.solver.examine import ROUNDING, Sizes
 from adaptmg.solver.iterate import Measured, State, StopTest, iterate, nested_start, true_error
 from adaptmg.solver.record import Outcome, Run, Status
@@ -521,7 +521,10 @@ class TruncatedRun:
         problem = self.problems[0]
         near = None if past is None or not past[0].any() else past[0]
         try:
-            solution, steps, passes = coarsest_solution(problem, start.rtol, near)
+            if near is None:
+                solution, steps, passes = coarsest_solution(problem, start.rtol)
+            else:
+                solution, steps, passes = coarsest_solution_near(problem, start.rtol, near)
         except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
             _LOG.info("coarsest level: the active set method gives up: %s", error)
             return [problem.with_prescribed(np.zeros(problem.n_unknowns))]
