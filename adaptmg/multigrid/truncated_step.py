@@ -99,7 +99,8 @@ class TruncatedState:
     energy: float = np.nan  # u'Au, N m; NaN: not computed
     size: float = 0.0  # A-norm of the displacement, when it was measured last
     moves: int = 0  # contact problems on a coarse level so far
-    shorten: bool = False  # whether the next correction ends where the first open node closes
+    # A-norm, over ``size``, above which the next correction ends where the first open node closes
+    shorten_above: float = np.inf
     from_start: float | None = None  # A-norm of the change by the first correction
 
 
@@ -171,9 +172,9 @@ class TruncatedStep:
         linearisation."""
         return self.linearise(self.smooth(self.correct(state)))
 
-    def correct(self, state: TruncatedState, shorten: bool = False) -> TruncatedState:
+    def correct(self, state: TruncatedState) -> TruncatedState:
         """Return the state after a correction from the coarser levels, projection and search; a copy
-        of a start. With ``shorten`` the correction ends where the first open node closes."""
+        of a start."""
         if state.linearised is None or state.coarse_residual is None:
             return with_fields(state, iterate=state.iterate.copy(), contact=state.contact.copy())
         self._truncate(state.linearised)
@@ -189,7 +190,7 @@ class TruncatedStep:
         load = coarse_residual[: self.coarse.n_dofs]
         energy = self._add_correction(proposed, load, smooth=not state.corrected)
         contact = state.contact.copy()
-        if shorten:
+        if abs(energy) > (state.shorten_above * state.size) ** 2:
             unknowns = self.displacement(state)
             share = contact.closing_share(proposed)
             proposed[:] = unknowns + share * (proposed - unknowns)

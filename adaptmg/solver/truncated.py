@@ -199,11 +199,15 @@ class TruncatedCycles:
         parts = self.parts
         # At the begin of a solve, except from a given start, and after a coarse contact problem the
         # contact status is uncertain: a whole correction may carry open nodes through the obstacle.
-        # The next one then ends where the first of them closes.
+        # The next one then ends where the first of them closes; a small one does not: with these
+        # shortened, too, 6 of 354 solves of random bodies and 3 of 6 meshes of a loop take a cycle
+        # more, none fewer.
         is_uncertain = (
             self.coarse is not None and self.origin != "given" and state.linearised is None
         )
-        new = with_fields(parts.correct(state, state.shorten), shorten=is_uncertain)
+        new = with_fields(
+            parts.correct(state), shorten_above=self.LARGE if is_uncertain else np.inf
+        )
         from_start = None
         if new.cycles == 1 and self.nested is not None:
             from_start = parts.distance(parts.displacement(new), self.nested[: parts.matrix.n_dofs])
@@ -223,13 +227,15 @@ class TruncatedCycles:
         smoothing, where no coarse level serves, which is then not asked again.
 
         A problem whose solution is refused, which returns its argument, counts in ``moves``, too. After
-        any other the next linear correction ends where its first open node closes (``shorten``)."""
+        any other the next linear correction ends where its first open node closes
+        (``shorten_above``)."""
         if coarse_contact.number is None:
             self.coarse = None
             return state
         smoothed = self.parts.smooth(state)
         moved = coarse_contact(smoothed)
-        return with_fields(moved, moves=state.moves + 1, shorten=moved is not smoothed)
+        shorten_above = np.inf if moved is smoothed else 0.0
+        return with_fields(moved, moves=state.moves + 1, shorten_above=shorten_above)
 
     def _seeks_status(self, state: TruncatedState) -> bool:
         """Return whether the contact status is too uncertain to go on without a coarse contact
