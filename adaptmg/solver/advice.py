@@ -424,7 +424,8 @@ def _advise_on_rotations(mesh: MeshArrays, results: Sequence[Result]) -> None:
     for body, name in enumerate(mesh.bodies if motions else ()):
         elements = np.flatnonzero(mesh.element_body == body)
         # a rotation shows on a thousand elements; all of 131 000 take a sixth of the whole solve
-        nodes = np.unique(mesh.elements[elements[:: len(elements) // 1000 + 1]])
+        sample = mesh.elements[elements[:: len(elements) // 1000 + 1]]
+        nodes = np.flatnonzero(mask_of(sample, mesh.n_nodes))  # sorted
         place = mesh.points[nodes] - mesh.points[nodes].mean(axis=0)
         # the gradients of the linear motions next to those of the nodes
         changes = [motion[nodes] - motion[nodes].mean(axis=0) for motion in motions]
