@@ -55,7 +55,8 @@ class Response:
     displacement: np.ndarray  # (n_dofs,): unknowns, m
     stress: np.ndarray  # (m, k): on smoothed patches without the part on groups of nodes, Pa
     tangent: np.ndarray  # (m, k, k), Pa
-    state: np.ndarray  # (m, n)
+    #: (m, n), n being the largest ``state_size`` of all materials, at least 1; 0 behind a shorter state
+    state: np.ndarray
     missed: np.ndarray  # (n_dofs,): f - f_int, N
 
 
@@ -92,7 +93,6 @@ class InelasticBodies:
             (posed.materials[k].inelastic, np.flatnonzero(body[numbers] == k))
             for k in np.flatnonzero(inelastic)
         )
-        smoothed = elements == "smoothed"
         return cls(
             posed=posed,
             members=members,
@@ -105,7 +105,7 @@ class InelasticBodies:
             # C_xxyy is Lame's first constant: the shear moduli of both tensors are the same
             bulk=(whole_tensors.table - tensors.table)[tensor_of_patch, 0, 1],
             groups=volume_groups(mesh, posed.materials, inelastic=True)
-            if smoothed
+            if elements == "smoothed"
             else Volumes.none(mesh.n_nodes, mesh.dim),
         )
 
@@ -117,7 +117,7 @@ class InelasticBodies:
     @property
     def unloaded(self) -> np.ndarray:
         """Return the states (m, n) of bodies before any load."""
-        # at least one number, which `result` reads of bodies without a state, too
+        # at least one number, which ``result`` reads also of bodies without a state; of shorter states the rest is 0
         size = max(1, *(material.state_size for material, _ in self.members))
         return np.zeros((len(self.numbers), size))
 
@@ -199,7 +199,6 @@ class InelasticBodies:
 
     def result(self, problem: DiscreteProblem, response: Response, data: StressData) -> StressData:
         """Return stress data with the stresses and plastic strains of a response."""
-        mesh = self.posed.mesh
         physical = problem.physical(response.displacement)
         k = self.elastic.shape[1]
         strain = (self.strains @ physical.reshape(-1)).reshape(-1, k)
@@ -211,8 +210,8 @@ class InelasticBodies:
         # what the whole stress leaves of the strain is plastic
         plastic = strain - np.linalg.solve(stiffness, whole_stress[:, :, None])[:, :, 0]
         plastic[:, 3:] *= 0.5  # components of tensors, not angles
-        inelastic = inelastic_bodies(self.posed.materials)[mesh.element_body]
-        stress = data.tensors(mesh, physical)
+        inelastic = inelastic_bodies(self.posed.materials)[self.posed.mesh.element_body]
+        stress = data.tensors(self.posed.mesh, physical)
         stress[inelastic] = as_tensors(self._of_elements(response.stress)[inelastic])
         # groups of nodes bear the rest of the pressure, kappa times their mean volume strain b u
         if len(self.groups):
@@ -220,12 +219,17 @@ class InelasticBodies:
             stress[inelastic] += self.groups.of_elements(pressures)[inelastic, None, None] * np.eye(
                 3
             )
+        # the place of the last number of a state, which of Plastic is the accumulated plastic strain; of materials
+        # without a state that of a zero
+        last = np.zeros((len(self.numbers), 1), dtype=np.int64)
+        for material, patches in self.members:
+            last[patches] = max(material.state_size, 1) - 1
+        accumulated = np.take_along_axis(response.state, last, axis=1)
         plastic_state = PlasticState(
             state=response.state,
             stress=stress,
             strain=as_tensors(self._of_elements(plastic)),
-            # the last number of a state of Plastic is the accumulated plastic strain
-            accumulated=self._of_elements(response.state[:, -1:])[:, 0],
+            accumulated=self._of_elements(accumulated)[:, 0],
         )
         return replace(data, plastic=plastic_state)
 
@@ -234,8 +238,11 @@ class InelasticBodies:
         elastic bodies."""
         every = np.zeros((self.n_patches, values.shape[1]))
         every[self.numbers] = values
-        smoothed = self.posed.problem.elements == "smoothed"
-        return edge_means(self.posed.mesh, every) if smoothed else every
+        return (
+            edge_means(self.posed.mesh, every)
+            if self.posed.problem.elements == "smoothed"
+            else every
+        )
 
 
 def _strain_matrix(patches: Patches, numbers: np.ndarray, n_dofs: int, k: int) -> sparse.csr_array:

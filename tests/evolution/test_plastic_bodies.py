@@ -377,6 +377,40 @@ def test_a_users_material_is_taken():
     assert soft.accumulated_plastic_strain.tolist() == [1.0] * len(soft.mesh.elements)
 
 
+class Counting(Brittle):
+    """The same material with a state longer than that of Plastic."""
+
+    state_size = 6
+
+
+@pytest.mark.parametrize("other", [Brittle, Counting])
+def test_each_material_has_the_last_number_of_its_own_state(other):
+    """A plastic block in a press, with a block of another material on it."""
+    parts = {
+        "lower": am.Rectangle(width=1, height=1),
+        "upper": am.Rectangle(width=1, height=1, origin=(0, 1)),
+    }
+    steel = am.Plastic(am.PlaneStrain(young=E, poisson=NU), yield_stress=SIZE, hardening=1e-2 * E)
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts),
+        law=am.Frictionless(),
+        material={"lower": steel, "upper": other()},
+        contact=am.ContactPair("upper.bottom", "lower.top"),
+        supports=(
+            am.Support("lower.bottom", y=0.0),
+            am.Support("lower.left", x=0.0),
+            am.Support("upper.left", x=0.0),
+        ),
+        loads=am.Pressure("upper.top", 1.5 * SIZE),
+    )
+    result = am.solve(am.Hierarchy.uniform(problem, divisions=(2,)))
+    lower, upper = np.split(result.accumulated_plastic_strain, 2)
+    # uniaxial stress in plane strain, with |s| = 2 / sqrt(3) of the yield stress up to elastic strains
+    expected = (1.5 * SIZE * np.sqrt(3) / 2 - SIZE) / (1e-2 * E)
+    np.testing.assert_allclose(lower, expected, rtol=0.1)
+    np.testing.assert_array_equal(upper, 1.0)
+
+
 def test_a_load_beyond_the_limit_is_not_borne():
     """A block in plane strain bears 2 / sqrt(3) of its yield stress."""
     problem = replace(
