@@ -24,12 +24,10 @@ class BlockRows:
     """The rows of a matrix of ``dim`` x ``dim`` blocks; columns are sorted."""
 
     dim: int
-    kinds: (
-        np.ndarray
-    )  # (n_nodes,) uint8: the row of the table that each row repeats; (0,): row i is row i
-    indptr: (
-        np.ndarray
-    )  # (n_rows + 1,) int: row r of the table has the blocks indptr[r], ..., indptr[r + 1] - 1
+    #: (n_nodes,) uint8: the row of the table that each row repeats; (0,): row i is row i
+    kinds: np.ndarray
+    #: (n_rows + 1,) int: row r of the table has the blocks indptr[r], ..., indptr[r + 1] - 1
+    indptr: np.ndarray
     indices: np.ndarray  # int: block columns in the table; with ``kinds`` they count from the row
     data: np.ndarray  # blocks of the table, row by row, flat
 
@@ -88,9 +86,8 @@ class BlockRows:
     @cached_property
     def diagonal_places(self) -> np.ndarray:
         """Return the places (n_nodes,) of the diagonal blocks in the table."""
-        if len(
-            self.kinds
-        ):  # each row of the table has one diagonal block, whose column minus row is 0
+        if len(self.kinds):
+            # each row of the table has one diagonal block, whose column minus row is 0
             return np.flatnonzero(self.indices == 0).astype(np.int32)[self.kinds]
         return diagonal_places(self.matrix)
 

@@ -35,9 +35,8 @@ class LoadSteps:
     holds: Sequence[Held] = ()
     # stress data without initial strains; Any: None without a problem, which then has no strains
     stress: StressData | Any = None
-    strains: Mapping[str, np.ndarray] = field(
-        default_factory=dict
-    )  # dict of str to (n_elements, 3)
+    # dict of str to (n_elements, 3)
+    strains: Mapping[str, np.ndarray] = field(default_factory=dict)
     strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_dofs,)
     # Any: None without a problem, which has neither strains nor gaps that depend on supports
     posed: Posed | Any = None

@@ -123,9 +123,7 @@ class PlasticState:
     state: np.ndarray
     stress: np.ndarray  # (n_elements, 3, 3): of elastic bodies too, Pa
     strain: np.ndarray  # (n_elements, 3, 3): plastic strain, 0 in elastic bodies
-    accumulated: (
-        np.ndarray
-    )  # (n_elements,): the last number of a state, without what fills up shorter ones
+    accumulated: np.ndarray  # (n_elements,): the last number of the material's state
 
 
 @dataclass(frozen=True, eq=False)

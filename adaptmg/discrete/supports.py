@@ -61,14 +61,12 @@ class Inclined:
     nodes: np.ndarray  # (k,) int, ascending
     spans: np.ndarray  # (k, dim, dim): Z
     moved: Mapping[str, np.ndarray]  # (k, dim) by name in a load path: parts of ubar, m
-    rows: sparse.csr_array = field(
-        default_factory=lambda: sparse.csr_array((0, 0))
-    )  # (k * dim, n_dofs): of A
+    #: (k * dim, n_dofs): of A
+    rows: sparse.csr_array = field(default_factory=lambda: sparse.csr_array((0, 0)))
     stiffness: np.ndarray = field(default_factory=lambda: np.empty(0))  # (k,): D
     load: np.ndarray = field(default_factory=lambda: np.empty(0))  # (n_dofs,): b
-    volumes: sparse.csr_array = field(
-        default_factory=lambda: sparse.csr_array((0, 0))
-    )  # (n_groups, n_dofs): B
+    #: (n_groups, n_dofs): B
+    volumes: sparse.csr_array = field(default_factory=lambda: sparse.csr_array((0, 0)))
 
     @classmethod
     @cache

@@ -38,14 +38,12 @@ class Contents:
 
     points: np.ndarray  # (n, 3): in the unit of the file
     cells: list[tuple[str, np.ndarray]]  # kind and nodes (m, k) of blocks of any dimension
-    sets: dict[str, list[tuple[int, np.ndarray]]] = field(
-        default_factory=dict
-    )  # blocks, and rows of them
+    #: sets of cells: blocks, and rows of them
+    sets: dict[str, list[tuple[int, np.ndarray]]] = field(default_factory=dict)
     node_sets: dict[str, np.ndarray] = field(default_factory=dict)
     bodies: Sequence[str] | None = None  # the sets whose cells are different bodies; None: all sets
-    surfaces: set[str] = field(
-        default_factory=set
-    )  # those sets of nodes that come before the others
+    #: those sets of nodes that come before the others
+    surfaces: set[str] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)
 
 

@@ -108,13 +108,11 @@ class _Deck:
     def __init__(self) -> None:
         self.numbers = [np.empty(0, dtype=np.int64)]  # of the nodes, of each *NODE
         self.points = [np.empty((0, 3))]  # the places of these nodes
-        self.elements: list[
-            tuple[str, np.ndarray, np.ndarray, str]
-        ] = []  # type, numbers, nodes, set
+        # type, numbers, nodes, set
+        self.elements: list[tuple[str, np.ndarray, np.ndarray, str]] = []
         self.sets: dict[str, dict[str, list[np.ndarray]]] = {"NSET": {}, "ELSET": {}}
-        self.surfaces: dict[
-            str, list[tuple[np.ndarray, int]]
-        ] = {}  # elements, and their facet (0: all)
+        # elements, and their facet (0: all)
+        self.surfaces: dict[str, list[tuple[np.ndarray, int]]] = {}
         self.sections: list[str] = []  # sets of elements that have one
         self.nodal: set[str] = set()  # surfaces that are sets of nodes, as the deck spells them
         self.notes: list[str] = []

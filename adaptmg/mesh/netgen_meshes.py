@@ -362,9 +362,8 @@ class Shape:
     areas: list[float]  # of its faces
     volume: float
     corners: np.ndarray  # (2, 3): of its bounding box
-    samples: Sequence[
-        np.ndarray
-    ]  # of each face: patches of points and normals on its surface (2, n, 6)
+    #: of each face: patches of points and normals on its surface (2, n, 6)
+    samples: Sequence[np.ndarray]
     centres: np.ndarray  # (n, 3): of its faces
     lower: np.ndarray  # m: where its origin lies
     scale: float  # m: its unit of length
