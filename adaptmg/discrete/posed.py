@@ -52,7 +52,15 @@ from adaptmg.discrete.supports import Boundaries, held_components, supported_nod
 from adaptmg.discrete.ties import tie_interfaces
 from adaptmg.mesh.arrays import MeshArrays, Surface, mask_of
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.problem.laws import Elastic, FollowsState, Law, NodalLaw, NodalStateLaw, check_law
+from adaptmg.problem.laws import (
+    Elastic,
+    FollowsState,
+    Law,
+    NodalLaw,
+    NodalStateLaw,
+    check_law,
+    follows_state,
+)
 from adaptmg.problem.surfaces import ContactPair, Periodic
 
 
@@ -437,7 +445,7 @@ def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
             law = _evaluated(boundary_law, points[on_boundary], contact.weights[on_boundary])
             check_bounds(law, n)
             bounds[:, on_boundary] = law.bounds(n)
-            if isinstance(law, FollowsState):
+            if follows_state(law):
                 following.append((law, np.flatnonzero(on_boundary)))
     if following:
         return NodalStateLaw(bounds[0], bounds[1], tuple(following))

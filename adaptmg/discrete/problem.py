@@ -40,7 +40,7 @@ from adaptmg.discrete.coordinates import Coupling, Unknowns, held_slaves
 from adaptmg.discrete.elasticity import ALL_NODES, rigid_body_modes
 from adaptmg.discrete.supports import EnergyTerms, Inclined
 from adaptmg.discrete.volumes import Volumes
-from adaptmg.problem.laws import FollowsState, Frictionless, Law, check_law, friction_at
+from adaptmg.problem.laws import Frictionless, Law, check_law, follows_state, friction_at
 
 Value = TypeVar("Value")
 Others = ParamSpec("Others")
@@ -383,7 +383,7 @@ class DiscreteProblem(Unknowns):
         """Return the coefficients of friction (n_contact,) at nodal forces, N, and slips, m: those of
         the law, which may depend on both."""
         contact = self.contact
-        if not isinstance(self.law, FollowsState):
+        if not follows_state(self.law):
             _, friction = self.law.bounds(len(contact))
             return np.asarray(friction)
         # of a node that takes over others the force is that of its weight, the slip a sum; laws take means
@@ -407,7 +407,7 @@ class DiscreteProblem(Unknowns):
     def need_given_friction(self, what: str, instead: str) -> None:
         """Raise ValueError if the coefficient depends on pressure or slip, or the compliance on the
         pressure; ``what`` names the method that cannot follow this, ``instead`` one that can."""
-        if isinstance(self.law, FollowsState):
+        if follows_state(self.law):
             raise ValueError(f"law: {what} cannot follow a StateLaw; use {instead}")
         if (self.contact.exponent > 1).any():
             raise ValueError(

@@ -30,6 +30,7 @@ from adaptmg.discrete.problem import (
     remembered_of_structure,
 )
 from adaptmg.mesh.arrays import places_of
+from adaptmg.problem.laws import follows_state
 from adaptmg.transfer.galerkin import without_fixed
 
 #: coefficients of friction (n_contact,) at nodal forces, N, and slips, m
@@ -462,7 +463,7 @@ def _friction_at(
         |tau| = hypot(slip of the unknowns, prescribed slip along ``held`` tangents)
 
     (n_contact,); at nodes ``first_held`` the slip of the unknowns has both (:func:`_slip_reference`)."""
-    if not hasattr(problem.law, "at_state"):  # a tenth of the time of isinstance of a protocol
+    if not follows_state(problem.law):
         return None
     displacement = problem.at_contact(problem.fixed_values) - problem.contact.slip_reference
     along_held = np.where(held, to_frames(frames, displacement)[:, 1:], 0.0)

@@ -27,7 +27,7 @@ from adaptmg.discrete.sides import STIFFER, exchangeable
 from adaptmg.discrete.stress import LOCKING, element_strain, hoop_strain
 from adaptmg.mesh.arrays import MeshArrays, Surface, mask_of
 from adaptmg.problem import Contact, ContactPair, InitialStrain, Plane, PlaneStress
-from adaptmg.problem.laws import FollowsState
+from adaptmg.problem.laws import follows_state
 from adaptmg.problem.surfaces import moving_parts
 from adaptmg.smoother.system import OPEN, SLIP, contact_blocks, friction_bound
 from adaptmg.solver.examine import ContactResult
@@ -233,7 +233,7 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
     """Warn of friction that may have several solutions: where the bound mu p falls with the pressure,
     rises with it by more than the critical coefficient, or falls with the slip faster than the
     force of the body rises, -d(mu p)/ds > K_tt, at a slip s on the way to the present one."""
-    if not isinstance(discrete.law, FollowsState):
+    if not follows_state(discrete.law):
         return
     force = contact.force_n
     # results have means over the nodes whose part a contact node takes over, friction_at takes sums
