@@ -162,9 +162,9 @@ def frozen_matrix(data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> 
 
 def diagonal_places(matrix: sparse.bsr_array) -> np.ndarray:
     """Return the places (n_nodes,) of the diagonal blocks of a matrix, which has them all."""
-    numbers = np.arange(len(matrix.indices), dtype=np.int32)
-    n = len(matrix.indptr) - 1
-    return sparse.csr_array((numbers, matrix.indices, matrix.indptr), shape=(n, n)).diagonal()
+    nodes = np.arange(len(matrix.indptr) - 1, dtype=np.int32)
+    rows = np.repeat(nodes, np.diff(matrix.indptr))
+    return np.flatnonzero(matrix.indices == rows).astype(np.int32)
 
 
 @inner_kernel(forceinline=True)

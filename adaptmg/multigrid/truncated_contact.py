@@ -101,7 +101,7 @@ class TruncatedContact:
         contact_of = places_of(nodes, problem.n_nodes, np.int32)
         diagonal = level.diagonal.reshape(-1, dim, dim)[nodes]
         local = np.einsum("nij,njk,nlk->nil", frames, diagonal, frames)
-        turn_held(local, np.arange(len(nodes)), contact)
+        turn_held(local, np.arange(len(nodes)), contact.held)
         row, column = UPPER[dim]
         n = len(nodes)
         result = cls(

@@ -310,7 +310,7 @@ class Condensed(Eliminated):
             fixed=fixed,
             nodes=np.arange(len(full.system.nodes)),
         )
-        turn_held(dense.diagonal, dense.nodes, full.contact)
+        turn_held(dense.diagonal, dense.nodes, full.contact.held)
         return replace(full, system=dense, load=np.where(fixed, 0.0, self.load))
 
     def restrict(self, unknowns: np.ndarray) -> np.ndarray:
@@ -355,7 +355,7 @@ def eliminate(
             raise
         factors, schur = _eliminate_dense(system, contact, shift, lenient)
     # S from S + Sigma, symmetric to the bit
-    schur[np.diag_indices_from(schur)] -= shift
+    np.einsum("kk->k", schur)[:] -= shift
     return Eliminated(factors=factors, contact=contact, matrix=0.5 * (schur + schur.T), shift=shift)
 
 
@@ -367,7 +367,7 @@ def condense_problem(problem: DiscreteProblem, lenient: bool = False) -> Condens
     """Condense a problem; those that share its matrix share the factors, where these are small."""
     if problem.n_dofs > REMEMBERED[problem.dim]:
         return condense(local_system(problem), lenient)
-    system, parts = _eliminated(problem)
+    system, parts = eliminated(problem)
     result = Condensed(**vars(parts), full=local_system(problem, system))
     if not (lenient or result.regular):
         raise _Singular
@@ -375,7 +375,7 @@ def condense_problem(problem: DiscreteProblem, lenient: bool = False) -> Condens
 
 
 @remembered_of_structure
-def _eliminated(problem: DiscreteProblem) -> tuple[LocalSystem, Eliminated]:
+def eliminated(problem: DiscreteProblem) -> tuple[LocalSystem, Eliminated]:
     """Return the system of a problem, and its elimination, which serves problems with other loads,
     too."""
     system = local_system(problem).system
@@ -440,7 +440,7 @@ def _eliminate_dense(
     pivots = np.empty(0, dtype=np.int64)
     rank = 0
     if len(interior):
-        scaled = matrix[np.ix_(interior, interior)] / (size[:, None] * size)
+        scaled = matrix[interior[:, None], interior] / (size[:, None] * size)
         lower, pivots, rank, _ = linalg.lapack.dpstrf(scaled, tol=checks.ROUNDING, lower=1)
     if rank < len(interior) and not lenient:
         raise _Singular
@@ -449,11 +449,12 @@ def _eliminate_dense(
     lower = np.tril(lower[:rank, :rank]) * size[independent, None]
     order = np.append(interior[independent], contact)
     coupling = linalg.solve_triangular(
-        lower, matrix[np.ix_(interior[independent], contact)], lower=True, check_finite=False
+        lower, matrix[order[:rank, None], contact], lower=True, check_finite=False
     )
     # S + Sigma, and the factor of the whole matrix
-    schur = matrix[np.ix_(contact, contact)] + np.diag(shift) - coupling.T @ coupling
-    whole = np.block(
-        [[lower, np.zeros((rank, len(contact)))], [coupling.T, np.linalg.cholesky(schur)]]
-    )
-    return DenseFactors(np.asfortranarray(whole), order), schur
+    schur = matrix[contact[:, None], contact] + np.diag(shift) - coupling.T @ coupling
+    whole = np.zeros((len(order), len(order)), order="F")
+    whole[:rank, :rank] = lower
+    whole[rank:, :rank] = coupling.T
+    whole[rank:, rank:] = np.linalg.cholesky(schur)
+    return DenseFactors(whole, order), schur

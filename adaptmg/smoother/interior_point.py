@@ -382,7 +382,7 @@ class ContactDofs:
         """Take the dofs of a mask ``free`` (n_contact, dim) from the matrix of all contact dofs."""
         self.free = np.flatnonzero(free.reshape(-1))
         self.shape = free.shape
-        self.matrix = np.ascontiguousarray(matrix[np.ix_(self.free, self.free)])
+        self.matrix = np.ascontiguousarray(matrix[self.free[:, None], self.free])
         # flat positions of the entries between free dofs of a node, in the blocks (n_contact, dim, dim)
         # and in the matrix, whose rows and columns are the numbers of the dofs among the free ones
         number = (np.cumsum(free) - 1).reshape(free.shape)

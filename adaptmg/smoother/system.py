@@ -251,7 +251,7 @@ class LocalSystem:
         indices = matrix.indices.astype(np.int32)
         diagonal = matrix.data.take(diagonal_places(matrix), axis=0)
         contact_of = places_of(nodes, n_nodes, np.int32)
-        return cls(
+        result = cls(
             dim=dim,
             indptr=indptr,
             indices=indices,
@@ -262,6 +262,8 @@ class LocalSystem:
             nodes=np.asarray(nodes, dtype=np.int32),
             contact_of=contact_of,
         )
+        result.__dict__["matrix"] = matrix  # :attr:`matrix` does not make it again
+        return result
 
     @property
     def n_nodes(self) -> int:
@@ -356,7 +358,7 @@ def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) ->
         )
         system = LocalSystem.from_matrix(matrix, fixed, problem.contact.nodes)
         # the node solve knows nodes with a held tangent by the sign of an entry: see NodalContact.held
-        turn_held(system.diagonal, system.nodes, nodal)
+        turn_held(system.diagonal, system.nodes, nodal.held)
     checks.instance("system", system, LocalSystem)
     return LocalProblem(system=system, load=load, contact=nodal, frames=frames, discrete=problem)
 
@@ -378,15 +380,16 @@ def held_tangents(problem: DiscreteProblem) -> np.ndarray:
 def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     """Return the diagonal blocks (n_contact, dim, dim) of the contact nodes in local components, as
     :func:`local_system` has them, without rotating the matrix."""
-    contact, frames = local_contact(problem)
+    frames, _ = frames_and_fixed(problem)
+    held = held_tangents(problem)
     cartesian = problem.rows.diagonal_blocks(problem.contact.nodes)
     blocks = np.einsum("nij,njk,nlk->nil", frames, cartesian, frames)
     # of rows and columns of held tangents only the diagonal entries stay
     free = np.ones((len(blocks), problem.dim), dtype=bool)
-    free[:, 1:] = ~held_tangents(problem)
+    free[:, 1:] = ~held
     blocks *= (free[:, :, None] & free[:, None, :]) | np.eye(problem.dim, dtype=bool)
     # the node solve knows nodes with a held tangent by the sign of an entry: see NodalContact.held
-    turn_held(blocks, np.arange(len(blocks)), contact)
+    turn_held(blocks, np.arange(len(blocks)), _first_held(held))
     return blocks
 
 
@@ -398,9 +401,7 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
     )
     limit, friction = problem.law.bounds(len(problem.contact))
     held = fixed.reshape(-1, problem.dim)[problem.contact.nodes][:, 1:]
-    first_held = None
-    if problem.dim == 3 and (held[:, 0] & ~held[:, 1]).any():
-        first_held = held[:, 0] & ~held[:, 1]
+    first_held = _first_held(held)
     reference = _slip_reference(problem, frames, prescribed[:, 1:], held, first_held)
     gap = problem.contact.gaps
     lowest = None
@@ -428,6 +429,15 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
         compliance=compliance,
         layer=layer,
     )
+
+
+def _first_held(held: np.ndarray) -> np.ndarray | None:
+    """Return the nodes (n_contact,) bool of which a support holds the first tangent and not the second,
+    from the ``held`` tangents (n_contact, dim - 1); None without such nodes, as in the plane."""
+    if held.shape[1] < 2:
+        return None
+    first_held = held[:, 0] & ~held[:, 1]
+    return first_held if first_held.any() else None
 
 
 def _slip_reference(
@@ -473,14 +483,14 @@ def _friction_at(
     return lambda force, slip: problem.friction_at(force, np.hypot(slip, prescribed_slip))
 
 
-def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) -> None:
+def turn_held(diagonal: np.ndarray, nodes: np.ndarray, held: np.ndarray | None) -> None:
     """Make the entry (1, 1), of the first tangent, negative in the flat diagonal blocks of nodes where a
     support holds it and not the second, in place: by this sign the node solve knows them (see
     ``held`` of :class:`NodalContact`). ``nodes`` (n_contact,) are the places of the contact nodes
     among the blocks."""
-    if contact.held is not None:
+    if held is not None:
         blocks = diagonal.reshape(-1, 3, 3)
-        at = nodes[contact.held]
+        at = nodes[held]
         blocks[at, 1, 1] = -np.abs(blocks[at, 1, 1])
 
 

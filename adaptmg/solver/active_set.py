@@ -456,7 +456,7 @@ class CondensedSteps:
             change = equations.change.reshape(-1).copy()
             free = np.flatnonzero(~equations.prescribed.reshape(-1))
             rhs = equations.force.reshape(-1)[free] - matrix[free] @ change
-            change[free] = self._dense(matrix[np.ix_(free, free)], rhs)
+            change[free] = self._dense(matrix[free[:, None], free], rhs)
             return self.condensed.complete(particular, change)
 
     def _dense(self, matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:

@@ -36,7 +36,7 @@ from adaptmg.discrete.problem import DiscreteProblem, remembered, remembered_of_
 from adaptmg.grids import Grids
 from adaptmg.problem.laws import sampled_friction
 from adaptmg.problem.loads import PointSpring, Spring
-from adaptmg.smoother.factorisation import condense_problem, node_graph
+from adaptmg.smoother.factorisation import eliminated, node_graph
 from adaptmg.smoother.system import STICK, contact_blocks
 from adaptmg.solver.advice import advise, critical_coefficients, warn_where_steep
 from adaptmg.solver.examine import ContactResult
@@ -552,15 +552,16 @@ def critical_friction(problem: DiscreteProblem) -> np.ndarray:
     supports hold in part; NaN for bodies that contact holds."""
     dim = problem.dim
     n = len(problem.contact)
-    condensed = condense_problem(problem, lenient=True)
+    system, condensed = eliminated(problem)
     eigenvalues, eigenvectors = np.linalg.eigh(condensed.matrix)
     # a motion that only contact holds has no compliance: its stiffness is zero but for rounding
-    if not condensed.regular or not eigenvalues[0] > 1e-10 * eigenvalues[-1]:
+    is_regular = len(condensed.factors.order) == problem.n_dofs
+    if not is_regular or not eigenvalues[0] > 1e-10 * eigenvalues[-1]:
         return np.full(n, np.nan)
     # C of each node alone, and K = 1/C below
     compliance = (eigenvectors / eigenvalues) @ eigenvectors.T
     blocks = compliance.reshape(n, dim, n, dim)[np.arange(n), :, np.arange(n), :]
-    free = ~condensed.full.system.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
+    free = ~system.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
     critical = np.full(n, np.inf)
     critical[free] = critical_coefficients(np.linalg.inv(blocks[free]))
     critical.flags.writeable = False
