@@ -172,11 +172,12 @@ def isotropic(
     k = 2 * mesh.dim
     table = shear[:, None, None] * _SHEAR_PART[:k, :k]
     table[:, :3, :3] += lame[:, None, None]
-    # the row zz of a sheet gives the strain through the thickness, not a stress: -lambda / (2 mu) of
-    # the strains in the plane, as lambda is that of plane stress
-    table[thin, 2] = 0.0
-    table[thin, :, 2] = 0.0
-    table[thin, 2, :2] = -(lame / (2 * shear))[thin, None]
+    if thin.any():
+        # the row zz of a sheet gives the strain through the thickness, not a stress: -lambda / (2 mu)
+        # of the strains in the plane, as lambda is that of plane stress
+        table[thin, 2] = 0.0
+        table[thin, :, 2] = 0.0
+        table[thin, 2, :2] = -(lame / (2 * shear))[thin, None]
     return Moduli(table, mesh.element_body)
 
 

@@ -175,7 +175,7 @@ class StressData:
         thick = _AXISYMMETRIC if is_axisymmetric(materials) else _PLAIN  # of all bodies or of none
         kind = [_THIN if isinstance(elastic, PlaneStress) else thick for elastic in materials]
         strains = [load for load in loads if isinstance(load, InitialStrain)]
-        tensors = moduli(mesh, materials, elements)
+        anisotropic = any(elastic.anisotropy for elastic in materials)
         return cls(
             *lame_constants(materials),
             kind=np.array(kind, dtype=np.int8),
@@ -185,7 +185,7 @@ class StressData:
             if strains
             else np.zeros((0, 3)),
             smoothed=elements == "smoothed",
-            moduli=tensors if any(elastic.anisotropy for elastic in materials) else None,
+            moduli=moduli(mesh, materials, elements) if anisotropic else None,
         )
 
     @property

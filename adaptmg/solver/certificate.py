@@ -884,8 +884,10 @@ def _held_elsewhere(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     (m, dim, dim) onto their free directions."""
     inclined = problem.inclined
     fixed = problem.fixed.reshape(-1, problem.dim)
-    held = np.append(fixed.nonzero()[0], inclined.nodes)
-    nodes = np.setdiff1d(held, problem.contact.nodes)
+    held = np.logical_or.reduce(list(fixed.T))
+    held[inclined.nodes] = True
+    held[problem.contact.nodes] = False
+    nodes = np.flatnonzero(held)
     # a tied node, all of whose dofs are fixed, may be one of the inclined nodes
     not_fixed = ~fixed[nodes][:, :, None] * np.eye(problem.dim)
     return nodes, not_fixed @ (np.eye(problem.dim) - inclined.at(nodes))

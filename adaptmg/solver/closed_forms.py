@@ -42,7 +42,6 @@ from adaptmg.discrete.loads import body_elements, load_vector, spring_elements
 from adaptmg.discrete.moduli import (
     Moduli,
     as_tensors,
-    body_materials,
     moduli,
     strain_columns,
 )
@@ -50,7 +49,6 @@ from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem, remembered
 from adaptmg.discrete.supports import node_at
 from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, mask_of, signed_measures
-from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Axisymmetric, Elastic
 from adaptmg.problem.loads import (
     BodyForce,
@@ -98,12 +96,14 @@ def _condition(
 
 
 def _stiffness(
-    problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem, points: np.ndarray
+    posed: Posed, discrete: DiscreteProblem, points: np.ndarray
 ) -> tuple[Condition, ...]:
     """Return the line that compares the forces of an affine field with those of its stresses and of
     springs, nothing for problems that the closed forms do not cover. ``points`` (n_nodes, dim), m, count
     from the middle of the mesh."""
-    materials = body_materials(mesh, problem.material)
+    problem = posed.problem
+    mesh = posed.mesh
+    materials = posed.materials
     springs = [support for support in problem.supports if isinstance(support, Spring)]
     # next to volumes and inclined supports the stored matrix lacks a part of the stiffness; in
     # axisymmetry an affine field has other stresses
@@ -227,18 +227,15 @@ def _acting(
 
 
 def _loads(
-    problem: ContactProblem,
-    mesh: MeshArrays,
-    discrete: DiscreteProblem,
-    body: np.ndarray,
-    points: np.ndarray,
+    posed: Posed, discrete: DiscreteProblem, body: np.ndarray, points: np.ndarray
 ) -> tuple[Condition, ...]:
     """Return the line that compares the loads on each body with what is posed, nothing without loads;
     initial strains and bolts have no resultants. ``body`` (n_nodes,) is the number of the body of each
     node; ``points`` (n_nodes, dim), m, count from the middle of the mesh."""
-    materials = body_materials(mesh, problem.material)
+    problem = posed.problem
+    mesh = posed.mesh
     loads = [
-        _acting(load, mesh, materials)
+        _acting(load, mesh, posed.materials)
         for load in problem.loads
         if not isinstance(load, InitialStrain | Preload)
     ]
@@ -290,8 +287,10 @@ class FreeBodies:
     known: tuple[Condition, ...]  # that do not depend on the displacement
 
     @classmethod
-    def of(cls, problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> FreeBodies:
+    def of(cls, posed: Posed, discrete: DiscreteProblem) -> FreeBodies:
         """Return those of a discretised problem."""
+        problem = posed.problem
+        mesh = posed.mesh
         # contacts, then ties, as in the lists of the problem
         contact = discrete.contact
         slaves_and_masters = [
@@ -329,11 +328,11 @@ class FreeBodies:
             masters=masters,
             compared=compared,
             axisymmetric=problem.axisymmetric,
-            near=_near(problem, mesh, discrete) if problem.elements == "linear" else None,
+            near=_near(posed, discrete) if problem.elements == "linear" else None,
             known=(
-                *_stiffness(problem, mesh, discrete, points),
-                *_loads(problem, mesh, discrete, body, points),
-                _measures(problem, mesh, discrete),
+                *_stiffness(posed, discrete, points),
+                *_loads(posed, discrete, body, points),
+                _measures(posed, discrete),
             ),
         )
 
@@ -456,7 +455,7 @@ def free_bodies(posed: Posed | None, discrete: DiscreteProblem) -> FreeBodies | 
 
 @remembered
 def _free_bodies(discrete: DiscreteProblem, posed: Posed) -> FreeBodies:
-    return FreeBodies.of(posed.problem, posed.mesh, discrete)
+    return FreeBodies.of(posed, discrete)
 
 
 def _shift(condition: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarray | None:
@@ -510,8 +509,9 @@ class Elements:
         return forces
 
 
-def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> Elements:
+def _near(posed: Posed, discrete: DiscreteProblem) -> Elements:
     """Return the linear elements at nodes that supports, ties or contact hold."""
+    mesh = posed.mesh
     held = _any_component(discrete.fixed.reshape(mesh.points.shape))
     held[discrete.contact.nodes] = True
     held[discrete.inclined.nodes] = True
@@ -522,8 +522,8 @@ def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) 
     # corner, over dim: 6 ms at 36k nodes in space, where blocks B'CB took 52
     facets = element_facets(cells).reshape(-1, mesh.dim)
     outward = Surface(mesh.points, facets).vectors.reshape(*cells.shape, mesh.dim)
-    radii = mesh.points[cells, 0].mean(axis=1) if problem.axisymmetric else None
-    body_moduli = moduli(mesh, body_materials(mesh, problem.material))
+    radii = mesh.points[cells, 0].mean(axis=1) if posed.problem.axisymmetric else None
+    body_moduli = moduli(mesh, posed.materials)
     element_moduli = replace(body_moduli, rows=body_moduli.rows[elements])
     nodes = np.flatnonzero(held)
     return Elements(
@@ -536,8 +536,9 @@ def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) 
     )
 
 
-def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> Condition:
+def _measures(posed: Posed, discrete: DiscreteProblem) -> Condition:
     """Return by how much boundary masses of contact nodes differ from those of their facets."""
+    mesh = posed.mesh
     contact = discrete.contact
     deviation = np.zeros(len(contact))  # |1 - weight / mass of the facets|
     for k, (name, master) in enumerate(zip(contact.names, contact.masters, strict=True)):
@@ -545,7 +546,7 @@ def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProbl
         nodes = contact.nodes[on_boundary]
         surface = mesh.surface(name)
         shares = np.repeat(surface.measures[:, None] / mesh.dim, mesh.dim, axis=1)
-        if problem.axisymmetric:
+        if posed.problem.axisymmetric:
             # 2 pi times the mean of r over the linear shape function: (2 r_i + r_j) / 3
             radii = mesh.points[surface.facets, 0]
             shares *= 2 * np.pi * (radii + radii.sum(axis=1, keepdims=True)) / 3

@@ -399,7 +399,8 @@ class Examiner:
         x = discrete.coordinates
         # gaps and displacements of a contact node contain those of the nodes of which it takes over the
         # shares V: over 1 + sum(V) they are means, which are reported
-        share = contact.measures / contact.weights
+        measures = contact.measures
+        share = measures / contact.weights
         other_nodes, other_forces, other_boundary, on_slave = _forces_on_other_nodes(
             discrete, from_frames(frames, np.column_stack([-force_n, force_t]))
         )
@@ -423,7 +424,7 @@ class Examiner:
             master_force=other_forces,
             master_boundary=other_boundary,
             master_is_slave=on_slave,
-            measures=contact.measures,
+            measures=measures,
             accumulated_slip=contact.accumulated_slip + slip_size / share * (state != OPEN),
         )
 

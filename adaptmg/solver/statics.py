@@ -66,13 +66,14 @@ def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, 
     part with free motions; None if the rigid motions are unknown."""
     if problem.near_nullspace is None:
         return None
-    n_bodies, body_of = connected_components(node_graph(problem.matrix), connection="weak")
+    # strongly connected parts: of a symmetric matrix the same, without a transpose of the graph
+    n_bodies, body_of = connected_components(node_graph(problem.matrix), connection="strong")
     stiff = problem.matrix @ problem.near_nullspace
     bodies = np.split(np.argsort(body_of, kind="stable"), np.cumsum(np.bincount(body_of))[:-1])
     # a single node is not an elastic body: only its diagonal block can hold it
     parts = [
         (nodes, _free_motions(problem, stiff, nodes), n_bodies > 1)
-        for nodes in bodies
+        for nodes in sorted(bodies, key=lambda nodes: nodes[0])
         if len(nodes) > 1
     ]
     return [part for part in parts if part[1].shape[1]]
