@@ -135,6 +135,12 @@ def read_only(array: np.ndarray) -> np.ndarray:
     return view
 
 
+class _Seconds(threading.local):
+    """The seconds of the compilations in a thread; each solve reads them some 60 times."""
+
+    seconds = 0.0
+
+
 class _Compiling(Listener):
     """A listener that adds up the seconds of compilations in each thread, and announces long ones;
     numba compiles in one thread at a time. Kernels that a kernel calls compile within it: only the
@@ -145,7 +151,7 @@ class _Compiling(Listener):
         self.begin = 0.0  # s, of the outermost one
         self.collecting = False  # whether the collector was on before it
         self.kernel: Any = None  # the function that it compiles
-        self.here = threading.local()  # seconds: of the compilations in a thread
+        self.here = _Seconds()
 
     def on_start(self, event: Event) -> None:
         """Begin to time the compilation of a kernel, unless it is part of another one."""
@@ -238,7 +244,7 @@ register("numba:compile", _COMPILING)
 
 def compiling_seconds() -> float:
     """Return the seconds that this thread has spent compiling."""
-    return getattr(_COMPILING.here, "seconds", 0.0)
+    return _COMPILING.here.seconds
 
 
 def clock() -> float:

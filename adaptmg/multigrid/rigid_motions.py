@@ -24,6 +24,7 @@ from functools import cached_property
 from typing import ClassVar, cast
 
 import numpy as np
+from scipy import linalg
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.problem import (
@@ -41,10 +42,10 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
     size[size == 0] = 1.0
     scaled = rows / size  # columns of length 1, or 0
     # regular rows end here: the squares of the singular values are the eigenvalues of the k x k Gram
-    # matrix. Without zero columns their mean is 1 and the largest one is at least 1: then the least
+    # matrix. Where all of these are above 1e-6, so that Cholesky's factor of the rest exists, the least
     # singular value is above 1e-3, far above ALIKE
-    squares = np.linalg.eigvalsh(scaled.T @ scaled) if rows.size else np.zeros(1)
-    if squares[0] > checks.SIX_DIGITS * squares[-1]:
+    identity = np.eye(rows.shape[1])
+    if not linalg.lapack.dpotrf(scaled.T @ scaled - checks.SIX_DIGITS * identity)[1]:
         return np.empty((rows.shape[1], 0))
     # by the triangular factor, which has the same singular values and at most k rows
     _, singular, combinations = np.linalg.svd(np.linalg.qr(scaled, mode="r"), full_matrices=True)

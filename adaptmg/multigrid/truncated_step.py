@@ -459,7 +459,8 @@ class TruncatedStep:
         if not (state.past or state.uniform):
             return None
         alphas = self._least_weights(state, coarse_residual)
-        of_past, of_uniform = np.split(alphas, [len(state.past)])
+        of_past = alphas[: len(state.past)]
+        of_uniform = alphas[len(state.past) :]
         # (1 - sum alpha_j) u + sum alpha_j u_j
         present_share = 1.0 - of_past.sum()
         combined = np.empty_like(state.iterate)
