@@ -205,8 +205,8 @@ class _Parts:
         # a script has one name, whether it is run, imported, or sent to a worker
         script = main.get("__file__") if main.get("__name__") in _MAIN else None
         self._main = Path(script).stem if isinstance(script, str) else "__main__"
-        self._names: dict[int, str] = {}
-        self._found: dict[str, list[object]] = {}
+        self._names: dict[int, str] = {}  # by id, as name_of returns them
+        self._found: dict[str, list[object]] = {}  # by name, those of the user and followed ones
         # functions, classes and modules still to be examined: a list, since recursion has a limit
         self._waiting: list[tuple[str, object]] = []
         self._parts = {
@@ -281,6 +281,7 @@ class _Parts:
         return version is None and not _is_compiled(thing)
 
     def _hash(self, value: object, files: bool = False) -> str:
+        """Return a hash of a value; ``files`` as of :func:`_pickled`."""
         return hashlib.sha256(_pickled(value, self, files)).hexdigest()[:16]
 
     def _add_function(self, name: str, function: FunctionType) -> None:
