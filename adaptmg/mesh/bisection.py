@@ -342,7 +342,7 @@ def _mesh_of(
         cells, [k, 2 * k, 2 * k + 1, 2 * k + 2], axis=1
     )
     # a facet for each side that is a part of a facet of the mesh before, in the order of these
-    row, side = np.nonzero(old_facets >= 0)
+    row, side = np.divmod(np.flatnonzero(old_facets >= 0), k)
     old_facet = old_facets[row, side]
     order = np.argsort(old_facet, kind="stable")
     facets = elements[row[order, None], OPPOSITE[before.dim][side[order]]]

@@ -140,8 +140,9 @@ class SplitMatrix:
         # part by part: 3 ms less for hierarchy and solve with 263k nodes than joined
         for part in (self.lower, self.diagonal, self.upper):
             blocks = part.reshape(-1, self.dim**2)
-            inside = (slots >= first) & (slots < first + len(blocks))
-            result[inside] = blocks[slots[inside] - first]
+            # numbers and take: half of the time of masks
+            inside = np.flatnonzero((slots >= first) & (slots < first + len(blocks)))
+            result[inside] = blocks.take(slots.take(inside) - first, axis=0)
             first += len(blocks)
         return result.reshape(-1)
 

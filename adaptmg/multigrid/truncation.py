@@ -345,7 +345,7 @@ def _blocks_at_contact(
     column_of_lower = fine.lower_indices[place]
     rows = np.where(in_transpose, column_of_lower, row_of_lower)
     columns = np.where(in_transpose, row_of_lower, column_of_lower)
-    off_diagonal = fine.lower.reshape(-1, dim, dim)[place]
+    off_diagonal = fine.lower.reshape(-1, dim, dim).take(place, axis=0)
     off_diagonal[in_transpose] = off_diagonal[in_transpose].transpose(0, 2, 1)
     return (
         np.append(contact.nodes, rows).astype(np.int32),
