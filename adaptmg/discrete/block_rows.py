@@ -98,8 +98,9 @@ class BlockRows:
 
     def diagonal(self) -> np.ndarray:
         """Return the diagonal (n_dofs,)."""
-        entries = self.data.reshape(-1, self.dim**2)[:, :: self.dim + 1]
-        return entries.take(self.diagonal_places, axis=0).reshape(-1)
+        # of few blocks: to take from a view with gaps would copy it all, .6 ms for 11 000 nodes, not .1
+        blocks = self.data.reshape(-1, self.dim**2).take(self.diagonal_places, axis=0)
+        return blocks[:, :: self.dim + 1].reshape(-1)
 
     def last_columns(self) -> np.ndarray:
         """Return the last block column (n_nodes,) of each row."""
