@@ -393,10 +393,8 @@ def _without_fixed(
     dim = fine.dim
     fixed = fine.fixed.reshape(-1, dim)
     free = ~coarse.fixed.reshape(-1, dim)
-    reached = any(
-        (nodal[np.flatnonzero(fixed[:, c])] @ free[:, c].astype(float)).any() for c in range(dim)
-    )
-    if not reached:
+    # a product with all rows takes .1 ms for 7600 nodes, with those of fixed dofs alone .4
+    if not (nodal @ free.astype(float))[fixed].any():
         return matrix
     return without_fixed(matrix, fine.fixed)
 
