@@ -99,7 +99,7 @@ class TruncatedContact:
         contact, frames = local_contact(problem)
         nodes = problem.contact.nodes.astype(np.int32)
         contact_of = places_of(nodes, problem.n_nodes, np.int32)
-        diagonal = level.diagonal.reshape(-1, dim, dim)[nodes]
+        diagonal = level.diagonal_blocks(nodes)
         local = np.einsum("nij,njk,nlk->nil", frames, diagonal, frames)
         turn_held(local, np.arange(len(nodes)), contact.held)
         row, column = UPPER[dim]

@@ -408,8 +408,7 @@ class TruncatedStep:
         state.residual[:] = self.pressures.volumes.balanced(self.load, pressures)
         matrix.sweep(
             projected_sweeps.backward,
-            *matrix.lower_arrays,
-            matrix.inverse,
+            *matrix.shared_arrays,
             contact.contact_of,
             *contact.node_data,
             unknowns,
@@ -418,8 +417,7 @@ class TruncatedStep:
         )
         matrix.sweep(
             projected_sweeps.forward,
-            *matrix.lower_arrays,
-            matrix.inverse,
+            *matrix.shared_arrays,
             contact.diagonal,
             contact.contact_of,
             *contact.node_data,
@@ -529,18 +527,14 @@ class TruncatedStep:
         ``strips.order``. The sweeps store D by the inverses of its blocks, ``inverse``, which are
         inverted back here."""
         matrix = self.matrix
-        lower_indptr, lower_indices, lower = matrix.lower_arrays
         self.cycle.recorder.count(0.5, matrix.nonzeros)
         square = sum_of_parts(
             projected_sweeps.energy_product,
             matrix.n_nodes,
-            len(lower),  # the numbers that it reads, which decide into how many parts it is split
+            matrix.size_of_lower,  # the numbers that it reads, which decide into how many parts it is split
             matrix.strips.order,
             ZERO[matrix.dim],
-            lower_indptr,
-            lower_indices,
-            lower,
-            matrix.inverse,
+            *matrix.shared_arrays,
             first,
             second,
         )
@@ -554,8 +548,9 @@ class TruncatedStep:
         square = sum_of_parts(
             projected_sweeps.diagonal_square,
             matrix.n_nodes,
-            len(matrix.inverse),
+            matrix.dim * matrix.n_dofs,
             ZERO[matrix.dim],
+            matrix.kinds,
             matrix.inverse,
             unknowns,
         )

@@ -20,10 +20,12 @@ from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_parts
+from adaptmg.discrete.block_rows import table_column
 from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.mesh.arrays import pair_keys
-from adaptmg.multigrid.split_matrix import SplitMatrix, invert_block
+from adaptmg.multigrid.split_matrix import SplitMatrix, invert_block, shared_row
 from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.smoother.blocks import ONE
 from adaptmg.smoother.system import CLOSED, HELD, TANGENTIAL
 
 
@@ -327,45 +329,47 @@ def _blocks_at_contact(
     """Return rows (n,), columns (n,) and blocks (n, dim, dim) of a symmetric matrix, which stores L
     alone, in rows and columns of contact nodes."""
     dim = fine.dim
-    in_lower = np.concatenate(
-        in_parts(
-            _at_contact,
-            fine.n_nodes,
-            len(fine.lower),
-            fine.strips.order,
-            fine.lower_indptr,
-            fine.lower_indices,
-            contact.contact_of,
-        )
+    found = in_parts(
+        _at_contact,
+        fine.n_nodes,
+        fine.size_of_lower,
+        fine.strips.order,
+        *fine.shared_arrays[:3],
+        contact.contact_of,
     )
+    blocks, rows, columns = np.concatenate(found, axis=1)
     # each block of L, followed by its transpose, which is a block of L'
-    place = np.repeat(in_lower, 2)
-    in_transpose = np.arange(len(place)) % 2 == 1
-    row_of_lower = fine.strips.order[np.searchsorted(fine.lower_indptr, place, side="right") - 1]
-    column_of_lower = fine.lower_indices[place]
-    rows = np.where(in_transpose, column_of_lower, row_of_lower)
-    columns = np.where(in_transpose, row_of_lower, column_of_lower)
-    off_diagonal = fine.lower.reshape(-1, dim, dim).take(place, axis=0)
-    off_diagonal[in_transpose] = off_diagonal[in_transpose].transpose(0, 2, 1)
+    off_diagonal = fine.lower.reshape(-1, dim, dim).take(np.repeat(blocks, 2), axis=0)
+    off_diagonal[1::2] = off_diagonal[1::2].transpose(0, 2, 1)
     return (
-        np.append(contact.nodes, rows).astype(np.int32),
-        np.append(contact.nodes, columns).astype(np.int32),
+        np.append(contact.nodes, np.stack([rows, columns], axis=1)),
+        np.append(contact.nodes, np.stack([columns, rows], axis=1)),
         np.concatenate([contact.diagonal.reshape(-1, dim, dim), off_diagonal]),
     )
 
 
 @kernel
-def _at_contact(first, last, order, indptr, indices, contact_of):
-    """Return the numbers of the blocks of a half in rows and columns of contact nodes."""
-    found = np.empty(indptr[last] - indptr[first], dtype=np.int32)
+def _at_contact(first, last, order, kinds, indptr, indices, contact_of):
+    """Return the numbers (3, n) of the blocks of L in rows and columns of contact nodes, of their rows and
+    of their columns."""
+    room = 0
+    for place in range(first, last):
+        row, _, _ = shared_row(kinds, np.uint64(place), np.uint64(order[place]))
+        room += indptr[row + ONE] - indptr[row]
+    found = np.empty((3, room), dtype=np.int32)
     count = 0
     for place in range(first, last):
-        in_row = contact_of[order[place]] >= 0
-        for k in range(indptr[place], indptr[place + 1]):
+        i = np.uint64(order[place])
+        row, _, origin = shared_row(kinds, np.uint64(place), i)
+        in_row = contact_of[i] >= 0
+        for k in range(np.uint64(indptr[row]), np.uint64(indptr[row + ONE])):
+            j = table_column(origin, indices, k)
             # no branch: a block that does not count is overwritten by the next one
-            found[count] = k
-            count += in_row or contact_of[indices[k]] >= 0
-    return found[:count].copy()
+            found[0, count] = k
+            found[1, count] = i
+            found[2, count] = j
+            count += in_row or contact_of[j] >= 0
+    return found[:, :count].copy()
 
 
 @inner_kernel

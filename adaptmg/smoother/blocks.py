@@ -17,6 +17,7 @@ import numpy as np
 
 from adaptmg._numba import ZERO as ZERO
 from adaptmg._numba import inner_kernel, prefetch
+from adaptmg.discrete.block_rows import table_column
 
 #: distance of a prefetch in bytes: rows are short and depend on one another, so that the processor does not hide the
 #: latency of memory. Sweeps over 263k nodes in 2D take 29.0, 31.2, 26.3 ms of a solve, without it 32.1, 35.5, 29.1;
@@ -26,6 +27,8 @@ AHEAD = 4096
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 #: steps of sweeps: kernels are compiled again for each number in the text of a call
 FORWARD, BACKWARD = np.int64(1), np.int64(-1)
+#: columns that do not count from the row count from here
+ORIGIN = np.int64(0)
 FIVE, SIX, SEVEN, EIGHT = np.uint64(5), np.uint64(6), np.uint64(7), np.uint64(8)
 
 
@@ -270,9 +273,10 @@ def inverse_square(blocks, at, v):
 
 
 @in_loop
-def minus_row(i, step, indptr, indices, data, w, r):
-    """Return r minus row i of a matrix (or half of one) times w. ``step``, FORWARD or BACKWARD, says how
-    the blocks of the row are read."""
+def minus_row(i, origin, step, indptr, indices, data, w, r):
+    """Return r minus row i of a matrix (or half of one) times w. Columns count from ``origin``, which is
+    ORIGIN but in tables of rows. ``step``, FORWARD or BACKWARD, says how the blocks of the row are
+    read."""
     dim = np.uint64(len(r))
     begin = np.int64(indptr[i])
     end = np.int64(indptr[i + ONE])
@@ -282,20 +286,22 @@ def minus_row(i, step, indptr, indices, data, w, r):
     for entry in range(end - begin):
         k = np.uint64(first + step * entry)
         prefetch(np.uintp(ahead + np.int64(8 * dim * dim * k)))
-        r = subtract(r, times(data, dim * dim * k, read(w, dim * np.uint64(indices[k]), r)))
+        r = subtract(
+            r, times(data, dim * dim * k, read(w, dim * table_column(origin, indices, k), r))
+        )
     return r
 
 
 @in_loop
-def minus_transposed_row(i, step, indptr, indices, data, d, w):
-    """Subtract the transpose of row i of a half times d from w, in place."""
+def minus_transposed_row(i, origin, step, indptr, indices, data, d, w):
+    """Subtract the transpose of row i of a half times d from w, in place; see :func:`minus_row`."""
     dim = np.uint64(len(d))
     begin = np.int64(indptr[i])
     end = np.int64(indptr[i + ONE])
     first = begin if step > 0 else end - np.int64(1)
     for entry in range(end - begin):
         k = np.uint64(first + step * entry)
-        j = dim * np.uint64(indices[k])
+        j = dim * table_column(origin, indices, k)
         # all is read before anything is written: the compiler cannot know that w is none of the
         # other arrays
         write(w, j, subtract(read(w, j, d), transposed_times(data, dim * dim * k, d)))

@@ -24,6 +24,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.smoother.blocks import (
+    ORIGIN,
     ZERO,
     add,
     minus_row,
@@ -216,7 +217,7 @@ def _sweep(
     for visit in range(len(contact_of)):
         i = np.uint64(first + visit * step)
         at = dim * i  # its first dof; its blocks begin at dim * at
-        r = minus_row(i, step, indptr, indices, data, w, read(load, at, zero))
+        r = minus_row(i, ORIGIN, step, indptr, indices, data, w, read(load, at, zero))
         if contact_of[i] < 0:
             write(w, at, add(read(w, at, zero), scale(omega, times(inverse, dim * at, r))))
         else:

@@ -67,10 +67,11 @@ class Strips:
 
 def _strips(rows: BlockRows, by_distance: bool) -> list[np.ndarray]:
     """Return the nodes of the strips, which are ranges of the numbers of nodes, or, where these are too
-    few and ``by_distance`` allows it, ranges of the nodes in the order of their distance."""
+    few and ``by_distance`` allows it, ranges of the nodes in the order of their distance. Those of
+    lattices are always ranges of numbers."""
     numbering = np.arange(rows.n_nodes, dtype=np.int32)
     bounds = _bounds(rows.last_columns())
-    if len(bounds) > FEWEST or not by_distance:
+    if len(bounds) > FEWEST or not by_distance or len(rows.kinds):
         return [numbering[first:last] for first, last in pairwise(bounds)]
     indptr = rows.matrix.indptr
     indices = rows.matrix.indices

@@ -99,8 +99,7 @@ def smooth(level, contact, load, u):
     residual = load.copy()
     level.sweep(
         projected_sweeps.backward,
-        *level.lower_arrays,
-        level.inverse,
+        *level.shared_arrays,
         contact.contact_of,
         *contact.node_data,
         u,
@@ -109,8 +108,7 @@ def smooth(level, contact, load, u):
     )
     level.sweep(
         projected_sweeps.forward,
-        *level.lower_arrays,
-        level.inverse,
+        *level.shared_arrays,
         contact.diagonal,
         contact.contact_of,
         *contact.node_data,
@@ -129,8 +127,7 @@ def test_half_of_a_matrix_gives_the_energy_of_a_difference(dim):
         level.n_nodes,
         level.strips.order,
         ZERO[dim],
-        *level.lower_arrays,
-        level.inverse,
+        *level.shared_arrays,
         other,
         u,
     )
