@@ -21,14 +21,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
+from adaptmg._numba import kernel
+from adaptmg._threads import in_parts
 from adaptmg.geometry.location import Location, SimplexLocator
 from adaptmg.mesh.arrays import MeshArrays, centroids, initial_elements, parents_of
+
+# 1e-12 and 1e-8 leave the cycles of 8 random pairs (59) and the entries to .2 %; with 1e-9 affine
+# fields are missed by 2e-9 on meshes whose nodes differ by 1e-9
+CLIP = 1e-10
+"""Weights smaller than this are removed: they would put spurious nodes into minima over the support of P."""
 
 
 @runtime_checkable
@@ -220,8 +227,7 @@ def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
         return None
     node = 0
     column = 0
-    weights = np.empty((fine.n_nodes, fine.dim + 1))
-    columns = np.empty(weights.shape, dtype=np.int32)
+    bodies = []
     # bodies one after the other: fine nodes from ``node`` to ``next_node``, coarse ones from ``column``
     # to ``next_column``
     for coarse_cells, fine_cells in zip(coarse.lattices, fine.lattices, strict=True):
@@ -231,52 +237,98 @@ def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
         ends_of_coarse = coarse.points[[column, next_column - 1]]
         if (ends_of_coarse != fine.points[[node, next_node - 1]]).any():
             return None  # another box
-        of_body = slice(node, next_node)
-        _interpolate_on_lattice(coarse_cells, fine_cells, columns[of_body], weights[of_body])
-        columns[of_body] += column
+        bodies.append((slice(node, next_node + 1), _axes(coarse_cells, fine_cells, column)))
         node = next_node
         column = next_column
-    return _rows(columns, weights, weights >= CLIP, coarse.n_nodes)
+    indptr = np.zeros(fine.n_nodes + 1, dtype=np.int32)
+    _interpolate(bodies, indptr, np.empty(0, dtype=np.int32), np.empty(0))
+    np.cumsum(indptr, out=indptr)
+    columns = np.empty(indptr[-1], dtype=np.int32)
+    weights = np.empty(len(columns))
+    _interpolate(bodies, indptr, columns, weights)
+    result = sparse.csr_array((weights, columns, indptr), shape=(fine.n_nodes, coarse.n_nodes))
+    result.has_sorted_indices = True
+    return result
 
 
-def _interpolate_on_lattice(
-    coarse_cells: Sequence[int], fine_cells: Sequence[int], columns: np.ndarray, weights: np.ndarray
-) -> None:
-    """Write for each node of a fine lattice the coarse nodes to ``columns`` (n, dim + 1), and their
-    weights (n, dim + 1). The lattices have these numbers of cells along the axes.
+#: of the places of a fine lattice along the axes x, y, z: the coarse cells (their sum is the number of the first
+#: corner), the shares of these, and the steps to the next coarse node
+Axes = tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...], tuple[int, ...]]
 
-    A coarse cell is cut into simplices along its diagonal: a node with the shares s_1 >= s_2 (>= s_3)
-    along the axes of its cell has the corners that lie 0, 1, 2 (3) steps along these axes, in this
-    order, from the first corner, and the weights 1 - s_1, s_1 - s_2, ..., s_d."""
-    dim = len(fine_cells)
-    # arrays over the lattice (..., y, x) that broadcast: the first corner of the coarse cell of a node,
-    # its share along each axis, and the step to the next coarse node along this axis
-    corner = np.int32(0)
-    shares: list[Any] = []
-    steps: list[Any] = []
-    step = np.int32(1)
-    for axis, (m, n) in enumerate(zip(coarse_cells, fine_cells, strict=True)):
-        cell, rest = np.divmod(np.arange(n + 1) * m, n)
-        # (n + 1,) along x, (n + 1, 1) along y, (n + 1, 1, 1) along z
-        along_axis = (-1, *[1] * axis)
-        corner = (step * cell.astype(np.int32)).reshape(along_axis) + corner
-        shares.append((rest / n).reshape(along_axis))
+
+def _axes(coarse_cells: Sequence[int], fine_cells: Sequence[int], column: int) -> Axes:
+    """Return the places of a fine lattice in a coarse one, whose first node is ``column``. The lattices
+    have these numbers of cells along the axes; those of the plane have one place along z."""
+    corners = []
+    shares = []
+    steps = []
+    step = 1
+    for m, n in zip([*coarse_cells, 1][:3], [*fine_cells, 0][:3], strict=True):
+        cell, rest = np.divmod(np.arange(n + 1) * m, max(n, 1))
+        corners.append(step * cell)
+        shares.append(rest / max(n, 1))
         steps.append(step)
-        step = np.int32(step * (m + 1))
-    # the largest share first, by exchange of neighbours in arrays that broadcast: argsort alone takes 6.8 ms
-    # for 263k plane nodes
-    for last in range(dim - 1, 0, -1):
-        for k in range(last):
-            exchanged = shares[k] < shares[k + 1]
-            for values in (shares, steps):
-                larger = np.where(exchanged, values[k + 1], values[k])
-                values[k + 1] = np.where(exchanged, values[k], values[k + 1])
-                values[k] = larger
-    ends = [1.0, *shares, 0.0]
-    for k in range(dim + 1):
-        weights[:, k] = (ends[k] - ends[k + 1]).reshape(-1)
-        columns[:, k] = corner.reshape(-1)
-        corner = corner + steps[k] if k < dim else corner
+        step *= m + 1
+    corners[0] += column
+    return tuple(corners), tuple(shares), tuple(steps)
+
+
+def _interpolate(
+    bodies: list[tuple[slice, Axes]], indptr: np.ndarray, columns: np.ndarray, weights: np.ndarray
+) -> None:
+    """Write columns and weights of interpolation between lattices; without room for them the number of
+    entries in each row to ``indptr``."""
+    for nodes, (corners, shares, steps) in bodies:
+        lines = len(corners[1]) * len(corners[2])
+        entries = 4 * (nodes.stop - nodes.start)
+        arguments = corners, shares, steps, indptr[nodes], columns, weights
+        in_parts(_interpolate_on_lattice, lines, entries, *arguments)
+
+
+@kernel
+def _interpolate_on_lattice(first, last, corners, shares, steps, indptr, columns, weights):
+    """Write the rows of interpolation at the nodes of lines along x of a fine lattice: with 263k nodes
+    all levels take 4 ms, by numpy 25. Without room in ``columns`` write their lengths instead.
+
+    A coarse cell is cut into simplices along its diagonal: a node with the shares a >= b >= c along the
+    axes of its cell has the corners that lie 0, 1, 2, 3 steps along these axes, in this order, from the
+    first corner, and the weights 1 - a, a - b, b - c, c."""
+    counts = len(columns) == 0
+    length = len(corners[0])
+    for line in range(first, last):
+        z, y = divmod(line, len(corners[1]))
+        for x in range(length):
+            node = line * length + x
+            column = corners[0][x] + corners[1][y] + corners[2][z]
+            a = shares[0][x]
+            b = shares[1][y]
+            c = shares[2][z]
+            step_a, step_b, step_c = steps
+            # the largest share first
+            if a < b:
+                a, b = b, a
+                step_a, step_b = step_b, step_a
+            if b < c:
+                b, c = c, b
+                step_b, step_c = step_c, step_b
+            if a < b:
+                a, b = b, a
+                step_a, step_b = step_b, step_a
+            stored = 0
+            for weight, step in (
+                (1.0 - a, step_a),
+                (a - b, step_b),
+                (b - c, step_c),
+                (c, step_c),
+            ):
+                if weight >= CLIP:
+                    if not counts:
+                        columns[indptr[node] + stored] = column
+                        weights[indptr[node] + stored] = weight
+                    stored += 1
+                column += step
+            if counts:
+                indptr[node + 1] = stored
 
 
 def _rows(
@@ -292,12 +344,6 @@ def _rows(
     return sparse.csr_array(
         (weights.take(entries), columns.take(entries), indptr), shape=(len(stored), n_columns)
     )
-
-
-# 1e-12 and 1e-8 leave the cycles of 8 random pairs (59) and the entries to .2 %; with 1e-9 affine
-# fields are missed by 2e-9 on meshes whose nodes differ by 1e-9
-CLIP = 1e-10
-"""Weights smaller than this are removed: they would put spurious nodes into minima over the support of P."""
 
 
 def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -> sparse.csr_array:
