@@ -78,11 +78,12 @@ class LinearLevel:
         coarse[self.below.matrix.fixed] = 0.0
         return sum(squares)
 
-    def prolong(self, coarse: np.ndarray, to: np.ndarray) -> None:
-        """Add a prolonged vector of the level below to one of this level."""
-        in_parts(
-            add_prolonged, self.prolongation.shape[0], 2 * len(to), *self._transfer, coarse, to
-        )
+    def prolong(self, coarse: np.ndarray, to: np.ndarray, begin: np.ndarray | None = None) -> None:
+        """Add a prolonged vector of the level below to one of this level; with ``begin`` write their
+        sum to ``to``."""
+        begin = to if begin is None else begin
+        n = self.prolongation.shape[0]
+        in_parts(add_prolonged, n, 2 * len(to), *self._transfer, coarse, begin, to)
 
     def presmooth(self, load: np.ndarray) -> float:
         """Smooth from zero, and leave the residual f - A u in ``rest``; return the passes over the

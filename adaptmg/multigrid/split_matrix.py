@@ -437,8 +437,9 @@ def is_galerkin(
     probe = np.random.default_rng(0).random(coarse.shape[0]) - 0.5
     prolonged = np.zeros(matrix.shape[0])
     restricted = np.zeros(len(probe))
-    in_parts(add_prolonged, nodal.shape[0], 2 * len(prolonged), *transfer, probe, prolonged)
-    colours = scattering(nodal.indices, nodal.indptr, 2 * len(prolonged))
+    size = 2 * len(prolonged)
+    in_parts(add_prolonged, nodal.shape[0], size, *transfer, probe, prolonged, prolonged)
+    colours = scattering(nodal.indices, nodal.indptr, size)
     in_colours(colours, restrict, *transfer, BlockRows.of(matrix).times(prolonged), restricted)
     # P'A P v against A_c v, relative to |A_c| |v|
     sizes = BlockRows.of(abs(coarse)).times(np.abs(probe))
@@ -543,15 +544,15 @@ def _plus_prolonged(i, indptr, indices, weights, coarse, e):
 
 
 @kernel
-def add_prolonged(first, last, zero, indptr, indices, weights, coarse, u):
-    """Add P times ``coarse`` to u."""
+def add_prolonged(first, last, zero, indptr, indices, weights, coarse, begin, u):
+    """Write ``begin`` plus P times ``coarse`` to u, which may be ``begin``."""
     for node in range(first, last):
         i = np.uint64(node)
         at = np.uint64(len(zero)) * i
         write(
             u,
             at,
-            add(read(u, at, zero), _plus_prolonged(i, indptr, indices, weights, coarse, zero)),
+            add(read(begin, at, zero), _plus_prolonged(i, indptr, indices, weights, coarse, zero)),
         )
 
 

@@ -183,12 +183,13 @@ class TruncatedStep:
         # the correction begins at the recombined iterate, if there is one; both are past iterates then
         newest = (present,) if recombined is None else (recombined, present)
         begin, coarse_residual = newest[0]
-        iterate = begin.copy()
+        iterate = np.empty_like(begin)
         # views of the new iterate, which are changed in place
         proposed = iterate[: self._n_dofs]
         pressures = iterate[self._n_dofs :]
+        pressures[:] = begin[self._n_dofs :]
         load = coarse_residual[: self.coarse.n_dofs]
-        energy = self._add_correction(proposed, load, smooth=not state.corrected)
+        energy = self._corrected(begin, load, proposed, smooth=not state.corrected)
         contact = state.contact.copy()
         if abs(energy) > (state.shorten_above * state.size) ** 2:
             unknowns = self.displacement(state)
@@ -213,13 +214,15 @@ class TruncatedStep:
             cautious=max(state.cautious - 1, 0),
         )
 
-    def _add_correction(self, unknowns: np.ndarray, load: np.ndarray, smooth: bool) -> float:
-        """Add the correction of the coarser levels for a load on the next one to a displacement
-        (n_dofs,), in place; return its energy. Without the first smoothing the cycle is cheaper, and
-        recombination makes up for the difference."""
+    def _corrected(
+        self, begin: np.ndarray, load: np.ndarray, result: np.ndarray, smooth: bool
+    ) -> float:
+        """Write the displacement of an iterate (n_unknowns,) plus the correction of the coarser levels for
+        a load on the next one to ``result`` (n_dofs,); return the energy of the correction. Without the
+        first smoothing the cycle is cheaper, and recombination makes up for the difference."""
         correction = self.cycle.solve(self.number - 1, load, smooth=smooth)
-        self.level.prolong(correction, unknowns)
-        unknowns[self.matrix.fixed] = 0.0
+        self.level.prolong(correction, result, begin)
+        result[self.matrix.fixed] = 0.0
         return _product(load, correction)
 
     def smooth(self, state: TruncatedState) -> TruncatedState:
