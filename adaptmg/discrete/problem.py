@@ -425,6 +425,19 @@ class DiscreteProblem(Unknowns):
             )
         self.__dict__.update(_structure=Computed(), _computed=Computed())
 
+    def follow_entries(self) -> None:
+        """Forget what was computed from the matrix if its entries have been changed since it was last
+        solved: what a user does to them counts. Two sums stand for them."""
+        sums = None  # a matrix that nobody has read has not been changed
+        if "matrix" in vars(self):
+            entries = self.matrix.data.reshape(-1)
+            # not through BLAS, whose sums depend on the number of threads
+            sums = float(entries.sum()), float(np.einsum("i,i->", entries, entries))
+        if self._structure.setdefault("sums", sums) != sums:
+            self._structure.clear()
+            self._computed.clear()
+            self._structure["sums"] = sums
+
     def _check_fixed_at_contact(self) -> None:
         """Raise ValueError if a component with a part along the normal of a contact node is
         fixed."""

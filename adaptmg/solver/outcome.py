@@ -174,10 +174,13 @@ def start_argument(
 
 
 def grids_argument(value: Grids | DiscreteProblem) -> Grids:
-    """Return a hierarchy; a bare DiscreteProblem becomes one of one level."""
+    """Return a hierarchy, whose finest matrix may have other entries than when it was solved before; a bare
+    DiscreteProblem becomes one of one level."""
     if isinstance(value, DiscreteProblem):
-        return Grids.single(value)
-    return checks.instance("grids", value, Grids, "a Hierarchy or a DiscreteProblem")
+        value = Grids.single(value)
+    grids = checks.instance("grids", value, Grids, "a Hierarchy or a DiscreteProblem")
+    grids.finest.discrete.follow_entries()
+    return grids
 
 
 def checked_outcome(outcome: Outcome, solver: Solver, discrete: DiscreteProblem) -> Outcome:

@@ -122,6 +122,21 @@ def test_band_round_a_drum_slips_as_the_belt_equation_has_it():
         assert result.contact.force_n.sum() == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.parametrize(
+    "solution",
+    [
+        lambda problem: am.solve(problem, am.ActiveSet()),
+        lambda problem: am.solve_path(problem, am.LoadPath(), am.ActiveSet())[0],
+    ],
+)
+def test_entries_of_the_matrix_that_a_user_changes_between_solves_count(solution):
+    bar = grids("bar, friction 1").finest.discrete
+    softer = replace(bar, matrix=1.0 * bar.matrix)
+    solution(softer)
+    softer.matrix.data[...] *= 0.5
+    assert closeness(solution(softer), solution(replace(bar, matrix=0.5 * bar.matrix))) < 1e-13
+
+
 def test_work_of_direct_steps_is_a_residual_each():
     result = am.solve(grids("bar, friction 1"), am.ActiveSet(start="held"))
     assert result.work_units == pytest.approx(result.cycles + 1) and result.timings["factorise"] > 0
