@@ -600,7 +600,7 @@ def least_weights(products: np.ndarray, loads: np.ndarray) -> np.ndarray:
     """Return the alpha (k,) that minimise the norm of r + alpha C, squares weighted with W, from
     C W C' (k, k), which is overwritten, and -C W r (k,)."""
     # a diagonal that is raised by rounding: changes C may be dependent, or zero
-    diagonal = np.einsum("kk->k", products)  # a view
+    diagonal = products.reshape(-1)[:: len(products) + 1]  # a view
     diagonal *= 1.0 + checks.ROUNDING
     diagonal[diagonal == 0.0] = 1.0
     # LAPACK itself: numpy's least squares take ten times as long as all products of a small problem

@@ -278,6 +278,8 @@ def advise_on_adhesion(discrete: DiscreteProblem, contact: ContactResult) -> Non
     """Warn of boundaries whose open nodes, with Tresca's law, carry more friction than those in
     contact."""
     limit, _ = discrete.law.bounds(len(contact.node))
+    if not np.any(limit):  # most laws have none
+        return
     friction = np.where(limit > 0, np.linalg.norm(contact.force_t, axis=1), 0.0)
     by_open = np.bincount(contact.boundary, friction * ~contact.closed, len(contact.names))
     by_closed = np.bincount(contact.boundary, friction * contact.closed, len(contact.names))
