@@ -312,7 +312,7 @@ class TruncatedContact:
     def truncate(self, residual: np.ndarray) -> float:
         """Truncate the residual f - A u, in place; return its sum of squares at the contact nodes."""
         squares = truncate(
-            self.dim,
+            ZERO[self.dim],
             self.codes,
             self.nodes,
             self.frames,
@@ -387,7 +387,7 @@ class TruncatedContact:
     def _cut(self, unknowns: np.ndarray, codes: np.ndarray, move: bool) -> int:
         """Return the number of nodes that the projection cuts; with ``move`` cut them, in place."""
         return project(
-            self.dim,
+            ZERO[self.dim],
             codes,
             self.nodes,
             self.frames,
@@ -524,8 +524,9 @@ def _slip_size(dim, k, values, reference):
 
 
 @inner_kernel
-def _read_local(dim, frames, k, vector, at, local):
+def _read_local(zero, frames, k, vector, at, local):
     """Write the components of a vector at contact node k in its frame to ``local`` (dim,)."""
+    dim = len(zero)
     for a in range(dim):
         local[a] = 0.0
         for b in range(dim):
@@ -533,8 +534,9 @@ def _read_local(dim, frames, k, vector, at, local):
 
 
 @inner_kernel
-def _write_cartesian(dim, frames, k, local, vector, at):
+def _write_cartesian(zero, frames, k, local, vector, at):
     """Write the Cartesian components of ``local`` (dim,), in the frame of contact node k, to a vector."""
+    dim = len(zero)
     for b in range(dim):
         total = 0.0
         for a in range(dim):
@@ -543,13 +545,14 @@ def _write_cartesian(dim, frames, k, local, vector, at):
 
 
 @kernel
-def truncate(dim, codes, nodes, frames, limit, friction, reference, gap, spring, values, r, local):
+def truncate(zero, codes, nodes, frames, limit, friction, reference, gap, spring, values, r, local):
     """Replace the residual (n_dofs,) at contact nodes by the truncated one; returns the sum of its
-    squares there. ``local`` (dim,) is overwritten."""
+    squares there. ``local`` (dim,) is overwritten; ``zero``, here and below, is ZERO[dim]."""
+    dim = len(zero)
     squares = 0.0
     for k in range(len(nodes)):
         at = dim * np.int64(nodes[k])
-        _read_local(dim, frames, k, r, at, local)
+        _read_local(zero, frames, k, r, at, local)
         closed = codes[k] & CLOSED
         tangential = codes[k] & TANGENTIAL
         bound = limit[k]
@@ -564,24 +567,25 @@ def truncate(dim, codes, nodes, frames, limit, friction, reference, gap, spring,
             size = _slip_size(dim, k, values, reference)
             for a in range(1, dim):
                 local[a] -= bound * (values[dim * k + a] - reference[(dim - 1) * k + a - 1]) / size
-        _write_cartesian(dim, frames, k, local, r, at)
+        _write_cartesian(zero, frames, k, local, r, at)
         for b in range(dim):
             squares += r[at + b] * r[at + b]
     return squares
 
 
 @kernel
-def project(dim, codes, nodes, frames, gap, reference, spring, values, u, local, move):
+def project(zero, codes, nodes, frames, gap, reference, spring, values, u, local, move):
     """Make a corrected iterate u (n_dofs,) admissible, and write its local unknowns to ``values``.
     Closed nodes keep the gap, those on springs do not open, held ones do not slip. An open node
     stops at the gap. A slip that would turn by more than 90 degrees (2D: reverse) is cut to zero.
     Return how many nodes were cut; without ``move`` only count them. ``local`` (dim,) is
     overwritten."""
+    dim = len(zero)
     n_tangents = dim - 1
     n_cut = 0
     for k in range(len(nodes)):
         at = dim * np.int64(nodes[k])
-        _read_local(dim, frames, k, u, at, local)
+        _read_local(zero, frames, k, u, at, local)
         # the normal
         tangential = codes[k] & TANGENTIAL
         if codes[k] & CLOSED and not spring[k]:
@@ -612,5 +616,5 @@ def project(dim, codes, nodes, frames, gap, reference, spring, values, u, local,
             if sticks and a > 0:
                 local[a] = reference[n_tangents * k + a - 1]
             values[dim * k + a] = local[a]
-        _write_cartesian(dim, frames, k, local, u, at)
+        _write_cartesian(zero, frames, k, local, u, at)
     return n_cut

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from adaptmg._numba import inner_kernel, kernel
+from adaptmg._numba import ZERO, inner_kernel, kernel
 from adaptmg._threads import in_parts
 from adaptmg.discrete.block_rows import table_column
 from adaptmg.discrete.elasticity import dofs_of
@@ -49,7 +49,7 @@ class _Changed:
         """Write the base blocks plus a change (n * dim^2,), and the inverse diagonal blocks."""
         level = self.level
         store(
-            self.dim,
+            ZERO[self.dim],
             self.slots,
             self.rows,
             self.columns,
@@ -300,7 +300,7 @@ class Truncation:
         """Truncate the matrices for a status. Without ``newton`` the bounds g of friction are frozen,
         which keeps them symmetric."""
         changed_blocks(
-            contact.dim,
+            ZERO[contact.dim],
             self.rows,
             self.columns,
             self.blocks,
@@ -373,10 +373,11 @@ def _at_contact(first, last, order, kinds, indptr, indices, contact_of):
 
 
 @inner_kernel
-def _turn(dim, frames, k, inverse, rows, block, spare):
+def _turn(zero, frames, k, inverse, rows, block, spare):
     """Turn the rows of a block, G block, or else its columns, block G'. G is the frame F of contact
     node k, which turns components into it, or its ``inverse`` F', which turns them back. ``spare``
     (dim, dim) is overwritten."""
+    dim = len(zero)
     for a in range(dim):
         for b in range(dim):
             spare[a, b] = 0.0
@@ -399,7 +400,7 @@ def _truncated(a, code, spring):
 
 @kernel
 def changed_blocks(
-    dim,
+    zero,
     rows,
     columns,
     blocks,
@@ -417,7 +418,9 @@ def changed_blocks(
 ):
     """Write Delta of every collected block, Cartesian, to ``change``. Without ``newton`` the bounds g of
     friction are frozen, and the slip rows stay symmetric. ``block`` and ``spare`` (dim, dim) are
-    overwritten."""
+    overwritten. ``zero``, here and below, is ZERO[dim]: loops of fixed length compile in half of the
+    time (with the dimension as a number the compiler vectorises each of them)."""
+    dim = len(zero)
     size = dim * dim
     n_tangents = dim - 1
     # _turn would be compiled again for each constant
@@ -438,7 +441,7 @@ def changed_blocks(
         # into the frames of the contact nodes, with the Newton rows of slip; _turn takes whether by the
         # inverse frame, then whether the rows
         if row_contact >= 0:
-            _turn(dim, frames, row_contact, no, yes, block, spare)
+            _turn(zero, frames, row_contact, no, yes, block, spare)
             if newton and codes[row_contact] & CLOSED:
                 for a in range(n_tangents):
                     for b in range(dim):
@@ -448,7 +451,7 @@ def changed_blocks(
                             * block[0, b]
                         )
         if column_contact >= 0:
-            _turn(dim, frames, column_contact, no, no, block, spare)
+            _turn(zero, frames, column_contact, no, no, block, spare)
         if row_contact >= 0 and row_contact == column_contact:
             if codes[row_contact] & CLOSED:
                 block[0, 0] += spring[row_contact]
@@ -468,9 +471,9 @@ def changed_blocks(
                     block[a, b] = 0.0
         # and back
         if column_contact >= 0:
-            _turn(dim, frames, column_contact, yes, no, block, spare)
+            _turn(zero, frames, column_contact, yes, no, block, spare)
         if row_contact >= 0:
-            _turn(dim, frames, row_contact, yes, yes, block, spare)
+            _turn(zero, frames, row_contact, yes, yes, block, spare)
         for a in range(dim):
             for b in range(dim):
                 change[e * size + a * dim + b] = block[a, b] - blocks[e * size + a * dim + b]
@@ -578,7 +581,7 @@ def add_contributions(size, source, target, weight, fine, coarse):
 
 @kernel
 def store(
-    dim,
+    zero,
     slots,
     rows,
     columns,
@@ -597,6 +600,7 @@ def store(
     first. ``free`` is the mask of the others, ``below`` the number of blocks of L, with which slots
     begin. ``diagonal`` may be empty where nobody needs it; ``block`` (dim * dim,) and ``scale`` (dim,)
     are overwritten."""
+    dim = len(zero)
     size = dim * dim
     n = len(inverse) // size
     for t in range(len(slots)):
@@ -617,7 +621,7 @@ def store(
                 diagonal[i * size + e] = block[e]
             for a in range(dim):
                 scale[a] = abs(base[t * size + a * dim + a])
-            invert_block(dim, block, scale, inverse, i * size)
+            invert_block(np.int64(dim), block, scale, inverse, i * size)
         else:
             for e in range(size):
                 upper[(slot - below - n) * size + e] = block[e]
