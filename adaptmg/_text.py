@@ -40,7 +40,7 @@ def say(text: str) -> None:
 
 
 def warn_user(text: str, category: type[Warning] = UserWarning) -> None:
-    """Warn at the line that called the package."""
+    """Warn at the line that called the package; contextlib calls its context managers."""
     level = 1
     frame = sys._getframe()
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in (

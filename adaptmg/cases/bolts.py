@@ -157,7 +157,8 @@ def bolted_junction(
 
 
 def _law(friction: float, flanges: Flanges, dim: int) -> Law:
-    """Return the law of the joint and of the heads, whose friction is another one."""
+    """Return the law of the joint and of the heads, whose friction is another one: they lie farther
+    from z = 0 than half of the thinner flange."""
     friction = checks.nonnegative("friction", friction)
     heads = 0.0 if dim == 2 else 0.2
     if heads == friction:

@@ -129,7 +129,8 @@ def _field(
         uniform = 0.0
         shear = 0.0
     else:
-        # the tangential traction at x < 0 must stay below the limit, which the uniform part reaches
+        # the tangential traction at x < 0 must stay below the limit, which the uniform part reaches: by the
+        # mode alone direction xy + friction yy is excess there, made -friction times pressure at x = -1
         excess = direction * left[2] + friction * left[1]
         scale = -friction * pressure / excess
         uniform = pressure

@@ -357,7 +357,8 @@ def solved(
 ) -> tuple[Result, am.Hierarchy, list[am.Step]]:
     """Solve once, or on meshes that follow the error; return the last result, its grids, and the
     steps of the loop. ``callback`` is called with the progress, ``on_step`` with every step;
-    ``store`` keeps the steps."""
+    ``store`` keeps the steps. The loop has its own solver in the settings ``adapt``; callers report
+    a solve that has not converged."""
     problem = problem_of(settings["case"])
     if not settings["adapt"]:
         # the method first: what is refused is refused before anything is meshed
@@ -366,7 +367,7 @@ def solved(
         return am.solve(levels, solver, throw=False, callback=callback), levels, []
     steps = []
     loop = partial(am.adapt, problem, progress=callback, store=store)
-    for step in _made_with_settings(loop, settings["adapt"], "adapt.", "this loop"):
+    for step in _made_with_settings(loop, dict(settings["adapt"]), "adapt.", "this loop"):
         steps.append(step)
         if on_step is not None:
             on_step(step)

@@ -489,7 +489,7 @@ def remembered(
     def remembering(
         problem: DiscreteProblem, *arguments: Others.args, **named: Others.kwargs
     ) -> Value:
-        key = function, *arguments, *named.values()
+        key = function, *arguments, *sorted(named.items())
         if key not in problem._computed:
             problem._computed[key] = function(problem, *arguments, **named)
         return problem._computed[key]

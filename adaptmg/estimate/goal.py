@@ -351,7 +351,7 @@ def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) ->
     r"""Return the error of the solver: J of the discrete solution minus J of the result, in the
     unit of the quantity.
 
-    With the residual r = A u - b, the slip force s f of Tresca's law, and the amount
+    With the residual r = A u - b, the force s f of Tresca's law against the slip (f has length 1), and the amount
     :math:`\delta` by which the result misses prescribed values (a gap where bodies touch, minus the
     slip where they stick),
 
@@ -361,8 +361,10 @@ def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) ->
     discrete = view.discrete
     multiplier = contact.local(discrete.matrix @ dual.field - functional.vector)  # lambda*
     multiplier = multiplier.reshape(-1, discrete.dim)[contact.nodes]
+    # reactions of supports, in the residual at fixed dofs, are not errors
     error = -float(dual.field @ np.where(discrete.fixed, 0.0, contact.residual))
     error += float(contact.fixed_friction @ contact.local(dual.field))
+    # nodes with friction alone have no obstacle, and an infinite gap
     touches = (contact.state != State.OPEN) & np.isfinite(contact.gap)
     sticks = contact.is_sticking[:, None] & ~contact.held
     # - lambda* . delta, with delta the gap along the normal and minus the slip along tangents

@@ -290,6 +290,7 @@ class Solved:
         nodal_forces = load_vector(
             self.mesh, self.problem.loads, self.problem.material, self.problem.elements
         )
+        # with the values that the result has along inclined supports
         parts = self.discrete.parts_under(
             self.discrete.relative_forces(nodal_forces),
             unknowns,
@@ -307,12 +308,14 @@ class Solved:
         contact = self.result.contact
         # the discrete problem may have supports in other places than the result
         unknowns, _ = self._unknowns_and_forces
-        change = unknowns - self.discrete.free_part(unknowns) - self.discrete.fixed_values
+        prescribed = unknowns - self.discrete.free_part(unknowns)
+        prescribed_change = prescribed - self.discrete.fixed_values
+        # where supports hold a part of a normal, the gaps are what the prescribed values leave of them
         gaps = self.discrete.contact.gaps - self.posed.approached(
-            change.reshape(self.mesh.points.shape)
+            prescribed_change.reshape(self.mesh.points.shape)
         )
-        # the condition of a node that takes over the shares V of others is a sum with weights of sum
-        # 1 + sum(V) = measures / weights; contact results are the means
+        # the condition of a node that takes over the shares V of others (ContactNodes.taken_over) is a sum
+        # with weights of sum 1 + sum(V) = measures / weights; contact results are the means
         gaps *= contact.weights / contact.measures
         # the gap of the result before it moved by u_n, minus that of the problem
         difference = contact.gap + contact.u_n - gaps

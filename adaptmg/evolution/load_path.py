@@ -395,7 +395,7 @@ def solve_path(
     for result, coarse in () if step_store is None else _results(step_store, len(path)):
         loop.take_over(len(results), result, coarse)
         results.append(result)
-    if len(results) < len(path):  # a path that is complete in its store has given its warnings
+    if len(results) < len(path):  # a path that is complete in its store has given these warnings
         warn_of_several_solutions(grids)
         advise_on_problem(grids.posed)
     for k in range(len(results), len(path)):

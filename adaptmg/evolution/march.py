@@ -299,7 +299,8 @@ class March:
 
     def _free_pieces(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return for each connected piece its nodes, and the mask (dim,) of the axes along which
-        nothing holds it."""
+        certainly nothing holds it: inclined supports and springs count along all axes, as the mask
+        only spares rounding."""
         problem = self.posed.problem
         held = self.posed.fixed.copy()
         held[self.posed.inclined.nodes] = True

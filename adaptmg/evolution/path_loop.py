@@ -117,15 +117,17 @@ class PathLoop:
         """Solve step k, with the motions of Rigid obstacles and preloads if there are any, and
         return its result; the next step goes on from it."""
         factors = self._factors_at(k)
-        parts = self.controls.unknowns(factors)
+        unknowns = self.controls.unknowns(factors)
         motions = self.controls.motions
-        if parts:
+        if unknowns:
+            # once, and where they end; without unknowns each solve checks statics and held nodes itself
             self._check_statics(k, self._posed(k, motions, only_ends=True))
             result, (grids, coarse), motions = self.controls.find(
-                parts,
+                unknowns,
                 lambda motions, near, loose: self._solve(k, motions, near, progress, loose),
                 partial(self._posed, k),
                 self._limit,
+                # user-defined solvers may have none: inf limits nothing
                 lambda: getattr(self.step_solver, "rtol", np.inf),
             )
             self._check_held(grids, k, motions)

@@ -643,10 +643,11 @@ def _name(value: str) -> str:
 
 
 def _keys(column: pd.Series) -> pd.Series:
-    """Return values as texts, floats in few digits if these still differ."""
+    """Return values as texts, floats in few digits if these still differ; as objects, since columns of
+    texts have another type in newer versions of pandas."""
     texts = column.map(
         lambda value: f"{value:g}" if isinstance(value, float) else str(value)
     ).astype(object)
-    if types.is_numeric_dtype(column) and texts.nunique() < column.nunique():
+    if types.is_numeric_dtype(column) and texts.nunique() < column.nunique(dropna=False):
         texts = column.map(repr).astype(object)
     return texts

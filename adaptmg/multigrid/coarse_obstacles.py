@@ -25,9 +25,9 @@ class CoarseObstacles:
     def __init__(self, step: TruncatedStep) -> None:
         self.step = step
         levels = _levels(step)
-        #: the level below; None where weights at contact nodes are negative, and nothing is safe
+        # with weights that are not positive no coarse obstacle is safe
         safe = all((level.contact_prolongation.data > 0).all() for level in levels[1:])
-        self.number = step.number - 1 if safe else None
+        self.number = step.number - 1 if safe else None  # the level below, where this serves
         # cycles from zero to 1e-8, floor and torsion with 64 and 256 cells a side: W and F 7, 7, 9, 8,
         # V 7, 8, 9, 12; W with two sweeps 7, 7, 8, 8
         self.cycle = MultigridCycle(

@@ -323,16 +323,18 @@ def _draw_obstacle(ax: Axes, contact: Contact, mesh: MeshArrays, extent: float) 
     return times
 
 
-def _name_faces(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, loaded: list[str]) -> None:
+def _name_faces(problem: ContactProblem, mesh: MeshArrays, ax: Axes3D, loaded: list[str]) -> None:
     """Turn a single body so that contact, which counts three times, and loads show most, and name the
     faces that are seen; of several bodies only those of a STEP file, whose names are looked up here."""
     scale = _unit_scale(mesh)
     corners = {name: scale * mesh.points[mesh.boundary_facets(name)] for name in mesh.boundaries}
     if len(mesh.bodies) == 1:
-        seen = [corners[name] for name in (*3 * posed.contact_boundaries, *loaded)]
+        # three times: contact is what the picture is about
+        seen = [corners[name] for name in (*3 * problem.contact_boundaries, *loaded)]
         view_of(ax, np.concatenate([np.empty((0, 3, 3)), *seen]))
-    elif not isinstance(posed.domain, StepFile):
+    elif not isinstance(problem.domain, StepFile):
         return
+    # faces within 6 degrees of the line of sight are too narrow for a name
     for name in (boundary for boundary in mesh.boundaries if len(corners[boundary])):
         if mesh.surface(name).normals.mean(axis=0) @ viewer(ax.elev, ax.azim) > 0.1:
             ax.text(

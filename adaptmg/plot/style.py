@@ -344,7 +344,8 @@ def quoted(name: str) -> str:
 
 
 def label_text(text: str) -> str:
-    """Return a user's label: math where it is valid math, else unchanged."""
+    """Return a user's label: math where it is valid math, else as :func:`plain` shows it."""
+    text = printable(text)
     try:
         MathTextParser("path").parse(text)
     except ValueError:

@@ -401,7 +401,7 @@ class Cracked(SolidDomain):
                 f"cracks: the faces {', '.join(names[-2 * len(paths) :])} must have other names than the "
                 f"boundaries {', '.join(self.domain.boundaries)}"
             )
-        if body.dim == 2:
+        if body.dim == 2:  # a check of crossings and ends; in space the mesher finds these
             _ = self.outline
 
     def __hash__(self) -> int:
@@ -498,7 +498,10 @@ def _check_plane(name: str, path: np.ndarray) -> None:
             f"cracks[{name!r}] must be the corners of a plane polygon, got {checks.shown(path.tolist())}"
         )
     # Polygon checks the path in coordinates of its plane
-    first = (path[1] - path[0]) / np.linalg.norm(path[1] - path[0])
+    edges = np.diff(path, axis=0)
+    lengths = np.linalg.norm(edges, axis=1)
+    longest = np.argmax(lengths)
+    first = edges[longest] / lengths[longest]
     axes = np.stack([first, np.cross(normal / length, first)])
     try:
         Polygon(vertices=(path - path[0]) @ axes.T, boundaries=(name,) * len(path))

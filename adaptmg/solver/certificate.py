@@ -585,10 +585,11 @@ class Evidence:
 
     def balance(self) -> Condition:
         """Return the sum of all forces that act: loads, supports, claimed contact forces and
-        foundations, the same as that of the unexplained forces at free dofs."""
+        foundations. It is that of the unexplained forces at free dofs, as stresses add nothing to it
+        (in axisymmetry along the axis)."""
         sums = np.einsum("nd->d", self.left)
         total = float(np.linalg.norm(sums))
-        # n roundings of random sign
+        # |sum of n numbers| <= sqrt(n) times their Euclidean norm
         rounding = self.rounding * np.sqrt(self.problem.n_nodes)
         return Condition(
             "balance",

@@ -175,7 +175,7 @@ def _stress(material: Elastic, strain: np.ndarray) -> np.ndarray:
 
 def _spring_blocks(mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool) -> Blocks:
     """Return the nodes that springs join and their stiffness: where it is constant in space from
-    the mass matrix of a facet, |F| (1 + delta_ab) / (k (k + 1)); at points, in axisymmetry and where
+    the mass matrix of a facet with k corners, |F| (1 + delta_ab) / (k (k + 1)); at points, in axisymmetry and where
     it varies as :func:`spring_elements`."""
     if isinstance(spring, PointSpring) or axisymmetric:
         return spring_elements(mesh, spring, axisymmetric)

@@ -198,7 +198,7 @@ class Multigrid:
         self, hierarchy: Grids, run: Run, keeps: bool = False
     ) -> TruncatedRun | ProjectedRun:
         """Return a run of the method that is set up for a hierarchy; with ``keeps`` the set-up serves
-        several load steps."""
+        several load steps (of Truncated(); other corrections are set up for each)."""
         if len(hierarchy) < 2:
             raise ValueError(
                 "grids must have at least two levels for multigrid, got one: give coarser ones too, as in "
