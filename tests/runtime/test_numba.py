@@ -112,7 +112,7 @@ def test_kernels_run_where_no_cache_can_be_written(package):
     # a file where numba would make its directory: not even root can write there
     (folder / "__pycache__").write_text("a file")
     said = run(TREE, HOME=os.devnull, XDG_CACHE_HOME=os.path.join(os.devnull, "cache"))
-    assert "compiled kernels are not stored" in said and said.count("\n") == 1
+    assert said.count("compiled kernels are not stored") == 1
 
 
 def test_long_compiling_is_announced_once_stored_kernels_never(package):
