@@ -71,7 +71,7 @@ def convert(owner: object, check: Callable[..., object], /, *names: str, **optio
 def number(name: str, value: object) -> float:
     """Return ``value`` as a finite float; bools, strings, complex numbers and arrays of several
     numbers are refused."""
-    # a short cut for most numbers; integers beyond the range of numpy's must not reach it
+    # most numbers are such; the checks below take time, and numpy has no integers beyond 64 bits
     if (type(value) is float or type(value) is int) and -VAST <= value <= VAST:
         return float(value)
     entries = real_array(value)

@@ -236,7 +236,7 @@ def _head(
 
 
 def _stored(k: int, result: Result) -> Result:
-    """Return the result of step k as it is stored: only the first one with the mesh."""
+    """Return what is stored of the result of step k: the mesh with the first one only."""
     return result if k == 0 else replace(result, mesh=None)
 
 

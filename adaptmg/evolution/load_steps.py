@@ -181,7 +181,7 @@ def step_outcome(
     # and its Newton steps may cycle: the old solution comes first
     # equal loads extrapolate to the last solution, to the bit; where others do, too, the certificate refuses it
     is_repeated = isinstance(solver, ActiveSet) and np.array_equal(past.extrapolated, past.last)
-    # with past.is_start ``extrapolated`` is no extrapolation, but a start
+    # with past.is_start ``extrapolated`` is a start, not an extrapolation
     extrapolates = past.has_previous and not past.is_start and (is_truncated or is_repeated)
     rtol = getattr(solver, "rtol", None)
     if extrapolates and isinstance(rtol, float):  # not "discretisation", which needs a nested start

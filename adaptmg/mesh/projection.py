@@ -69,7 +69,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
         name: patches for name, patches in surfaces_of(domain).items() if name in mesh.boundaries
     }
     if all(surface.plane for patches in known.values() for surface in patches):
-        return mesh  # new nodes lie on planes as they are
+        return mesh  # new nodes lie on planes already
     sides = [_Side(patches, *_new_nodes(mesh, name, n_old)) for name, patches in known.items()]
     parents = mesh.refinement.parents
     depth = _depth(parents, n_old)

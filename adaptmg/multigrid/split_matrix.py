@@ -430,7 +430,7 @@ def is_galerkin(
     """Return whether ``coarse`` is P'AP, tested on one pseudo-random vector. Each row is compared
     relative to the terms that it sums, so that errors of a soft body next to a stiff one count."""
     # coarse nodes are fine ones, interpolated from themselves alone, which few are of independent
-    # meshes: the products below take 1.4 % of a loop that meshes anew
+    # meshes: the products below take 1.4 % of a loop that remeshes
     if np.count_nonzero(np.diff(nodal.indptr) == 1) < nodal.shape[1]:
         return False
     transfer = ZERO[matrix.blocksize[0]], nodal.indptr, nodal.indices, nodal.data

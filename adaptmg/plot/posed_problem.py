@@ -334,7 +334,7 @@ def _name_faces(problem: ContactProblem, mesh: MeshArrays, ax: Axes3D, loaded: l
         view_of(ax, np.concatenate([np.empty((0, 3, 3)), *seen]))
     elif not isinstance(problem.domain, StepFile):
         return
-    # faces within 6 degrees of the line of sight are too narrow for a name
+    # a face that is seen at less than 6 degrees is too narrow for a name
     for name in (boundary for boundary in mesh.boundaries if len(corners[boundary])):
         if mesh.surface(name).normals.mean(axis=0) @ viewer(ax.elev, ax.azim) > 0.1:
             ax.text(

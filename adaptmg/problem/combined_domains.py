@@ -401,7 +401,8 @@ class Cracked(SolidDomain):
                 f"cracks: the faces {', '.join(names[-2 * len(paths) :])} must have other names than the "
                 f"boundaries {', '.join(self.domain.boundaries)}"
             )
-        if body.dim == 2:  # a check of crossings and ends; in space the mesher finds these
+        if body.dim == 2:
+            # a check: cracks that cross, or leave the body, are refused in the plane alone
             _ = self.outline
 
     def __hash__(self) -> int:
