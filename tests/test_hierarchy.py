@@ -7,6 +7,7 @@ import re
 import tracemalloc
 from dataclasses import replace
 from functools import cache
+from itertools import permutations
 from types import SimpleNamespace
 
 import numpy as np
@@ -446,13 +447,15 @@ def test_other_supports_of_slave_nodes_change_prolongations():
 
 
 def test_another_law_changes_which_held_slave_nodes_carry_contact():
-    # a support holds a slave node along its surface, and not the master
+    # a support holds the slave node at x = 0 along its surface, and not the master
     supports = (am.Support("lower.bottom", x=0.0, y=0.0), am.Support("upper.left", x=0.0))
-    smooth, rough = (
-        replace(am.cases.two_block_patch(law=law), supports=supports)
-        for law in (am.Frictionless(), am.Coulomb(0.3))
+    laws = (
+        am.Frictionless(),
+        am.Coulomb(0.3),
+        am.Coulomb(lambda x: np.where(x[:, 0] > 0, 0.3, 0.0)),
     )
-    for first, other in ((smooth, rough), (rough, smooth)):
+    problems = [replace(am.cases.two_block_patch(law=law), supports=supports) for law in laws]
+    for first, other in permutations(problems, 2):
         old = am.Hierarchy.uniform(first, [{"upper": n, "lower": n + 1} for n in (2, 4)])
         meshes = [level.mesh for level in old.levels]
         assert same(old.with_problem(other), am.Hierarchy.from_meshes(other, meshes))

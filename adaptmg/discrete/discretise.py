@@ -175,11 +175,14 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
         return assembled(posed)
     law = nodal_law(posed, contact)
     check_bounds(law, len(contact))
-    if old.coupling is not None:
-        # which slave nodes carry multipliers depends on where friction acts
-        n = len(contact)
-        if not np.array_equal(friction_acts(law, n), friction_acts(old.law, n)):
-            return assembled(posed)
+    n = len(contact)
+    # which slave nodes carry multipliers depends on where friction acts, also at nodes that have had none
+    may_differ = old.coupling is not None and (
+        n < np.count_nonzero(posed.untied >= 0)
+        or not np.array_equal(friction_acts(law, n), friction_acts(old.law, n))
+    )
+    if may_differ and not np.array_equal(posed.contact.nodes, contact.nodes):
+        return assembled(posed)
     parts = {"law": law, "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     if changed:
         forces = load_vector(mesh, problem.loads, posed.materials, problem.elements)
