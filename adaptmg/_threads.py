@@ -207,7 +207,8 @@ def _libraries(_modules: int) -> ThreadpoolController:
     return ThreadpoolController().select(user_api="blas")
 
 
-_BLAS, _RANDOM = _Blas(), RLock()
+_BLAS = _Blas()
+_RANDOM = RLock()
 
 
 @contextmanager

@@ -70,8 +70,8 @@ class Forecast(NamedTuple):
         Of the finest mesh.
     memory : float
         Bytes, from problem to solution; right to a factor of 1.5 for linear elements. A lattice is
-        taken to have at least 4000 nodes, one uniform material, and neither springs nor inclined
-        supports; others take two to three times as much.
+        taken to have at least 4000 nodes, one uniform material that is not plastic, no axis of
+        symmetry, and neither springs nor inclined supports; others take two to three times as much.
     seconds : float
         Of one processor like that of the measurements, meshes included, by the default method with
         a start on the coarsest level of this hierarchy; right to a factor of 4 in 14 cases, among

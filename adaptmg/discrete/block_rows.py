@@ -98,7 +98,8 @@ class BlockRows:
 
     def diagonal(self) -> np.ndarray:
         """Return the diagonal (n_dofs,)."""
-        # of few blocks: to take from a view with gaps would copy it all, .6 ms for 11 000 nodes, not .1
+        # blocks first: to take from a strided view copies all of it, with a stored matrix of 11 000 nodes
+        # .5 ms, not .13
         blocks = self.data.reshape(-1, self.dim**2).take(self.diagonal_places, axis=0)
         return blocks[:, :: self.dim + 1].reshape(-1)
 

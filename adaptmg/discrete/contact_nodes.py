@@ -215,8 +215,8 @@ class ContactNodes:
 
     def facing(self, displacement: np.ndarray) -> ContactNodes:
         """Return the nodes of a scalar problem with the normals and gaps of the obstacles that are
-        nearest at displacements (n_contact, dim), and without the opposite ones; those of bodies, which
-        have one obstacle each, unchanged."""
+        nearest at displacements (n_contact, dim), and without the opposite ones; the nodes of bodies, which
+        have one obstacle each, are returned unchanged."""
         if self.dim > 1:
             return self
         u_n = np.einsum("nd,nd->n", displacement, self.normals)

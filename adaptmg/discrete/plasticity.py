@@ -219,8 +219,8 @@ class InelasticBodies:
             stress[inelastic] += self.groups.of_elements(pressures)[inelastic, None, None] * np.eye(
                 3
             )
-        # the place of the last number of a state, which of Plastic is the accumulated plastic strain; of materials
-        # without a state that of a zero
+        # the place of the last number of each state: of Plastic the accumulated plastic strain, a zero of materials
+        # without a state
         last = np.zeros((len(self.numbers), 1), dtype=np.int64)
         for material, patches in self.members:
             last[patches] = max(material.state_size, 1) - 1

@@ -428,7 +428,7 @@ class DiscreteProblem(Unknowns):
     def follow_entries(self) -> None:
         """Forget what was computed from the matrix if its entries have been changed since it was last
         solved: what a user does to them counts. Two sums stand for them."""
-        sums = None  # a matrix that nobody has read has not been changed
+        sums = None  # a matrix that has not been read has not been changed
         if "matrix" in vars(self):
             entries = self.matrix.data.reshape(-1)
             # not through BLAS, whose sums depend on the number of threads

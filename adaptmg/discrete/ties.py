@@ -100,7 +100,7 @@ def tie_interfaces(boundaries: Boundaries) -> list[MortarInterface]:
             parts.append(pair_interface(boundaries, pair, (slave, master), excluded))
         except ValueError as error:
             raise ValueError(str(error).replace("contact pair", "tie", 1)) from error
-        if tie.reach is None:  # who gives a reach knows how far surfaces are apart
+        if tie.reach is None:  # a reach says how far apart the surfaces may be
             _warn_of_gaps(tie, slave, np.abs(parts[-1].gaps).max(initial=0.0))
         not_tied[parts[-1].nodes] = True
     return parts

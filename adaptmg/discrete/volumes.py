@@ -222,8 +222,8 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
 def _moduli_of_bodies(
     materials: tuple[Elastic, ...], inelastic: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return kappa = lambda - lambda_1 (n_bodies,), 0 for bodies without groups and for those that are
-    not ``inelastic`` (if False, that are), and lambda_1 + mu (n_bodies,), see :attr:`Volumes.modulus`.
+    """Return kappa = lambda - lambda_1 (n_bodies,), 0 for bodies without groups, and lambda_1 + mu
+    (n_bodies,), see :attr:`Volumes.modulus`. Either the inelastic or the elastic bodies have groups.
     lambda_1 is the part of lambda up to 4 mu, of plastic bodies less, that the means of smoothed elements
     around edges keep."""
     lame, shear = lame_constants(materials)

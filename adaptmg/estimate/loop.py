@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-#: what is called with the dict of :func:`adaptmg.adapt` before and after each phase
+#: a function of the dict of :func:`adaptmg.adapt`, called before and after each phase
 Progress = Callable[[dict[str, float | str]], None]
 
 

@@ -14,6 +14,7 @@ with absolute tolerances; boundaries are called by the numbers of edges and face
 may share a name. In functions of solids ``worker`` is the process that holds the solid, ``shape`` are
 its properties, ``unit`` or ``draft`` is a mesh at unit size, in lengths of ``shape``, ``sizes`` are in m,
 and ``faces`` are those along which they are ``sizes.near``, by their numbers.
+
 Elements are straight: all nodes of curved faces lie on them, chords do not. The volume of the mesh
 therefore differs from OCC's by :math:`O(h^2)`; it is compared with the bound :math:`\sum_F \tfrac12
 A_F h_F \theta_F` over the boundary triangles F, :math:`\theta` being the largest angle to a

@@ -26,7 +26,7 @@ from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.surfaces import CHORDAL, Revolved, in_space, nearest, settled
 from adaptmg.problem.plane_domains import Domain
 
-# how often more nodes are kept where they are, to save elements, before all are
+# how often nodes of spoilt elements, more each time, stay on their chords, before all new nodes do
 _MAX_TRIES = 10
 # of the extent of the mesh: nodes nearer to their surfaces lie on them up to 64 roundings of double
 # precision, which Newton's method reaches

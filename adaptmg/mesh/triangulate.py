@@ -336,7 +336,7 @@ def _filled(
         dips = np.empty(0)
         if growth is not None:
             # every triangle that is new holds a node that is new
-            # by corner: .1 ms for 38 000 triangles, by any(axis=1) .9
+            # by corner: .12 ms for 34 000 triangles, by any(axis=1) .58
             new = np.any([corners >= n_read for corners in elements[:n_elements].T], axis=0)
             dips = np.full(n_elements, np.inf)
             dips[new] = field(centroids(points, elements[:n_elements][new]))

@@ -42,9 +42,10 @@ _LOG = logging.getLogger(__name__)
 #: unknowns up to which one mesh is factorised, by dimension: those of scalar problems may all be contact dofs, whose
 #: matrix is dense (961 nodes .5 s, on coarse spaces 4225 nodes .03 s)
 FACTORISED = {1: 1_000, 2: 30_000, 3: 6_000}
-#: unknowns of a coarsest level from which its factors cost much, and nodes of a level over those of the next coarser
-#: one below which, there, the two are too close
-LARGE_COARSEST, WIDE = 1500, {1: 2, 2: 2, 3: 4}
+#: unknowns of a coarsest level from which its factors cost much
+LARGE_COARSEST = 1500
+#: nodes of a level over those of the next coarser one below which, there, the two are too close
+WIDE = {1: 2, 2: 2, 3: 4}
 
 
 def tolerance_argument(rtol: float | None, solver: Solver | Method | None) -> float | None:

@@ -171,9 +171,11 @@ class TruncatedCycles:
     problem. ``nested`` is the nested start (n_unknowns,) if ``rtol="discretisation"``, which is
     measured from it, else None."""
 
-    #: contact problems on a coarse level at most, and the linear correction, relative, above which there is one: at
-    #: 0.01 12 of 206 cycles more on ten hard cases, without them 99 more
-    MOVES, LARGE = 8, 0.05
+    #: contact problems on a coarse level at most
+    MOVES = 8
+    #: the linear correction, relative, above which there is one: at 0.01 12 of 206 cycles more on ten hard cases,
+    #: without contact problems 99 more
+    LARGE = 0.05
 
     def __init__(
         self,

@@ -306,14 +306,11 @@ def _interpolate_on_lattice(first, last, corners, shares, steps, indptr, columns
             step_a, step_b, step_c = steps
             # the largest share first
             if a < b:
-                a, b = b, a
-                step_a, step_b = step_b, step_a
+                a, b, step_a, step_b = b, a, step_b, step_a
             if b < c:
-                b, c = c, b
-                step_b, step_c = step_c, step_b
+                b, c, step_b, step_c = c, b, step_c, step_b
             if a < b:
-                a, b = b, a
-                step_a, step_b = step_b, step_a
+                a, b, step_a, step_b = b, a, step_b, step_a
             stored = 0
             for weight, step in (
                 (1.0 - a, step_a),
