@@ -116,6 +116,8 @@ def test_the_axis_is_the_number_with_most_values():
         "sweeps", ""
     )  # a seed is in every run another
     assert axes_of_study(frame, ["number"]) == Axis("number", "")
+    close = frame.assign(close=[1.0, 1.0000001, np.nan] * 4)
+    assert axes_of_study(close, ["friction", "close"]) == Axis("close", "friction")
     frame["random"] = np.random.default_rng(0).random(len(frame))
     assert axes_of_study(frame, ["random", "number"]) == Axis("random", "", joined=False)
     # few runs: a line for each seed would be a point

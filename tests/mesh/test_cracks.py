@@ -134,6 +134,7 @@ test_refused = refused(
     (lambda: am.Cut(PLATE, am.Cracked(PLATE, {"a": [(1, 1), (2, 2)]})), "b is cracked"),
     (lambda: am.Moved(am.Cracked(CUBE, {"a": TRIANGLE})), "got a cracked"),
     (lambda: am.Cracked(CUBE, {"a": [*TRIANGLE, (0.5, 0.5, 0.6)]}), "corners of a plane polygon"),
+    (lambda: am.Cracked(CUBE, {"a": [TRIANGLE[0], *TRIANGLE]}), r"cracks\['a'\].*edge 0"),
     (
         lambda: am.Cracked(CUBE, {"a": [(0, 0, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0)]}),
         r"cracks\['a'\]",
