@@ -71,7 +71,7 @@ def random_start(case, law, seed):
 @pytest.mark.parametrize("case", ["bar", "graded", "block"])
 @pytest.mark.parametrize("method", ["V", "W", "F", "symmetric"])
 def test_the_energy_of_iterates_never_rises(method, case, law):
-    """Of sweeps on one grid: tests/smoother."""
+    """Sweeps on one grid are tested in tests/smoother."""
     local = am.smoother.local_system(grids(case, law).finest.discrete)
     start = random_start(case, law, 1)
     energies = []

@@ -179,7 +179,7 @@ def on_mesh(problem, mesh):
 
 @cache
 def fine_peak(clearance):
-    """The peak of the pressure on a mesh whose edges match."""
+    """Return the peak of the pressure on a mesh whose edges match."""
     problem = pin_in_bush(clearance, 2e-3)
     fine = am.mesh.graded(problem.domain, 0.01, ("pin.rim", "bush.hole"), 4)
     sides = [len(fine.boundary_nodes(name)) for name in ("pin.rim", "bush.hole")]

@@ -73,7 +73,7 @@ class Negative(am.Frictionless):
         return np.zeros(n_contact), np.full(n_contact, -1.0)
 
 
-def test_what_is_made_of_the_arrays():
+def test_what_a_problem_makes_of_its_arrays():
     points, own = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.ones((6, 1))
     fixed = np.array([True, False, True, False, False, False])  # a fixed tangent is fine
     rounding = (sparse.eye_array(6) + sparse.eye_array(6, k=1) * 1e-12).tocsr()

@@ -54,7 +54,7 @@ def test_contact_nodes_of_a_flat_boundary(problem, mesh, measure):
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e4])
-def test_rounding_of_turned_points_is_no_overlap(scale):
+def test_rounding_of_turned_points_is_not_an_overlap(scale):
     turn = scale * np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
     mesh = replace(PLATE, points=PLATE.points @ turn.T)
     plane = am.Plane(turn @ [0.3, 0.0], turn @ [0.0, 1.0])
@@ -172,7 +172,7 @@ def test_refusals(changes, message):
         _ = Posed.of(plane_problem(**changes), CRACKED).contact
 
 
-def test_what_the_problem_becomes():
+def test_what_a_problem_becomes_on_a_mesh():
     problem = am.discretise(plane_problem(), PLATE)
     assert problem.name == "plate, 25 nodes" and problem.n_dofs == 50
     np.testing.assert_array_equal(problem.coordinates, PLATE.points)

@@ -385,7 +385,7 @@ class Counting(Brittle):
 
 @pytest.mark.parametrize("other", [Brittle, Counting])
 def test_each_material_has_the_last_number_of_its_own_state(other):
-    """A plastic block in a press, with a block of another material on it."""
+    """A block of another material lies on a plastic one in a press."""
     parts = {
         "lower": am.Rectangle(width=1, height=1),
         "upper": am.Rectangle(width=1, height=1, origin=(0, 1)),

@@ -13,8 +13,8 @@ import adaptmg as am
 def resumed(
     grids: am.Hierarchy, path: am.LoadPath, solver: object, store: Path, after: int
 ) -> am.PathResult:
-    """The steps of a path that stops after step ``after`` and goes on from its store, which have the
-    bits of a path that does not stop."""
+    """Return the steps of a path that stops after step ``after`` and goes on from its store; check
+    that they have the bits of a path that does not stop."""
     whole = am.solve_path(grids, path, solver)
     with pytest.raises(ZeroDivisionError):
         am.solve_path(grids, path, solver, store=store, callback=lambda k, _: 1 / (after - k))

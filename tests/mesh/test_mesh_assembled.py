@@ -56,7 +56,7 @@ def off_circle(
 
 
 @pytest.mark.parametrize("ratio", [1, 100])
-def test_mixed_edges(ratio):
+def test_arcs_and_straight_edges_are_meshed(ratio):
     mesh = am.mesh.check_mesh(am.mesh.graded(RING, 0.4, "in", ratio), RING.boundaries)
     assert mesh.boundaries == ("x", "out", "top", "y", "in") and mesh.bodies == ("body",)
     assert all((mesh.points == vertex).all(axis=1).sum() == 1 for vertex in RING.vertices)
@@ -164,7 +164,7 @@ def test_fine_where_balls_touch():
     )
 
 
-def test_size_near():
+def test_sizes_near_points_grow_with_the_distance():
     field = am.SizeNear([(0, 0), (4, 0)], size=0.1, radius=1.0, grading=0.5)
     places = np.array([[0.5, 0], [2, 0], [4, 3]])
     np.testing.assert_allclose(field(places), [0.1, 0.6, 1.1])

@@ -492,7 +492,10 @@ test_refused = refused(
         "'force'.*step 0 must be",
     ),
     *(
-        (lambda other=other: plot.load_history([PLANE, other], FACTORS[:2], QUANTITIES), "same mesh")
+        (
+            lambda other=other: plot.load_history([PLANE, other], FACTORS[:2], QUANTITIES),
+            "same mesh",
+        )
         for other in (SOLID, two_bodies(size=0.03))
     ),
     (lambda: plot.load_history(steps_of(PLANE), FACTORS, {}, steps=0), "nothing to draw"),

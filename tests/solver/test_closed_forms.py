@@ -53,7 +53,7 @@ def test_what_is_right_passes(elements):
 
 
 def with_finest(hierarchy, discrete):
-    """The hierarchy with another finest problem."""
+    """Return the hierarchy with another finest problem."""
     finest = hierarchy.finest.posing(discrete=discrete)
     return replace(hierarchy, levels=(*hierarchy.levels[:-1], finest))
 

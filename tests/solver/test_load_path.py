@@ -165,7 +165,7 @@ def test_the_order_of_loads_matters_equal_steps_change_nothing(rough):
     assert not (side_first[2].contact.state == am.SLIP).any()
 
 
-def test_prescribed_displacement():
+def test_supports_move_with_the_factors_of_a_path():
     grids = pulled()
     path = am.LoadPath({"top": [1, 2, 1, 0], "left": 0.0})
     results = am.solve_path(grids, path, FINE)
@@ -184,7 +184,7 @@ def test_prescribed_displacement():
 @pytest.mark.parametrize(
     "solver", [am.Multigrid(), EXACT, am.SingleGrid()], ids=["cold", "exact", "single"]
 )
-def test_unloaded_is_undeformed(solver):
+def test_an_unloaded_body_is_undeformed(solver):
     results = am.solve_path(pulled(), am.LoadPath(default=[0, 1, 0.3 - 3 * 0.1, 1]), solver)
     assert results.complete
     assert not results[0].displacement.any() and not results[2].displacement.any()
@@ -192,7 +192,7 @@ def test_unloaded_is_undeformed(solver):
     assert distance(results[3], results[1]) <= 1e-6
 
 
-def test_unloaded_is_deformed_where_friction_holds_by_itself():
+def test_an_unloaded_body_stays_deformed_where_friction_needs_no_pressure():
     results, exact = (
         am.solve_path(pulled(am.Tresca(2e6)), am.LoadPath(default=[1, 0]), solver)
         for solver in (FINE, EXACT)
@@ -220,7 +220,7 @@ def test_steady_sliding_dissipates_friction_times_distance(dim, floor, load):
     assert steps.table()[f"dissipation [{unit}]"].iloc[-1] == steps.dissipation[-1]
 
 
-def test_bare_discrete_problem(rough):
+def test_a_bare_problem_has_default_factors(rough):
     for grids in (rough, pulled()):
         results = am.solve_path(grids.finest.discrete, am.LoadPath(default=[0.5, 1]), EXACT)
         assert distance(results[1], am.solve(grids, FINE)) <= 1e-8 and list(results.factors) == [
@@ -230,7 +230,7 @@ def test_bare_discrete_problem(rough):
         am.solve_path(rough.finest.discrete, CYCLE, EXACT)
 
 
-def test_coarse_spaces_only(rough):
+def test_a_path_is_solved_on_coarse_spaces(rough):
     grids = am.Hierarchy.algebraic(rough.finest.discrete, max_coarse=60)
     results, exact = (
         am.solve_path(grids, am.LoadPath(default=[1, 0.5]), solver)
@@ -239,7 +239,7 @@ def test_coarse_spaces_only(rough):
     assert distance(results[1], exact[1]) <= 1e-8
 
 
-def test_tolerance_of_the_discretisation(rough, cycle):
+def test_all_steps_have_the_tolerance_of_the_discretisation(rough, cycle):
     results = am.solve_path(rough, CYCLE, am.FullMultigrid(rtol="discretisation"))
     assert results.complete and len({result.rtol for result in results}) == 1
     assert 1e-9 < distance(results[-1], cycle[-1]) < 1e-2
@@ -252,7 +252,7 @@ def test_a_given_slip_reference_counts_in_the_first_step(rough):
     assert distance(am.solve_path(moved, am.LoadPath(), EXACT)[0], am.solve(moved, EXACT)) <= 1e-14
 
 
-def test_bad_factors_unknown_and_ambiguous_names(rough):
+def test_bad_factors_and_unknown_or_ambiguous_names_are_refused(rough):
     for factors, default, message in (
         (
             {"top": [1, 2], "left": [1, 2, 3]},
@@ -290,7 +290,7 @@ def test_bad_factors_unknown_and_ambiguous_names(rough):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_loads_on_one_face_have_factors_of_their_own(dim):
+def test_each_load_on_a_face_has_its_own_factor(dim):
     """Fretting: a constant pressure and a cyclic shear on the same face, and a support that
     moves it."""
     pressure, shear, factors = 1e6, 2e5, [0.5, 1.0, -1.0, 0.0, 1.0]
@@ -335,7 +335,7 @@ def test_loads_on_one_face_have_factors_of_their_own(dim):
         )
 
 
-def test_supports_that_part():
+def test_supports_that_part_are_refused():
     problem = replace(
         pulled().problem,
         supports=(
@@ -379,7 +379,7 @@ def test_an_interrupted_path_goes_on(rough, solver, tmp_path):
 
 
 def alike_where_a_node_sticks() -> am.Hierarchy:
-    """Grids with two coarse functions that differ in the slip of one contact node only."""
+    """Return grids with two coarse functions that differ in the slip of one contact node only."""
     fine = am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8)).finest
     functions = fine.prolongation.toarray()
     slip = np.zeros(len(functions))
@@ -401,8 +401,8 @@ def alike_where_a_node_sticks() -> am.Hierarchy:
     ],
 )
 def test_a_path_cut_anywhere_has_the_same_bits(grids, solver, tmp_path, request):
-    """Where statuses stay, between bodies, with pressures on all levels, and with coarse matrices that
-    are singular in some steps."""
+    """The paths are of one body, of two bodies, with pressures on all levels, with supports that move,
+    and with coarse matrices that are singular in some steps."""
     path = CYCLE_OF_BODIES if grids == "bodies" else CYCLE
     if grids == "volumes":
         soft = am.PlaneStrain(young=1.3e11, poisson=0.49)
@@ -461,7 +461,7 @@ def test_another_run_is_refused(rough, tmp_path):
     assert not solved_steps(close, path, store=tmp_path)
 
 
-def test_save_and_load(rough, cycle, tmp_path):
+def test_a_path_is_saved_and_loaded(rough, cycle, tmp_path):
     cycle.save(tmp_path / "a")
     loaded = am.PathResult.load(tmp_path / "a")
     assert loaded.complete and len(loaded) == 4 and loaded.table().equals(cycle.table())
@@ -505,7 +505,7 @@ def test_failure_names_the_step_and_keeps_the_others(rough, tmp_path):
     assert "1 of 4 steps" in repr(results)
 
 
-def test_table_sequence_and_progress(rough, cycle):
+def test_a_path_has_a_table_slices_and_progress(rough, cycle):
     table = cycle.table()
     assert list(table["factor left"]) == [0.5, 1, 0.5, 0] and (table["status"] == "CONVERGED").all()
     assert (

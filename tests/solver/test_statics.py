@@ -216,7 +216,7 @@ def test_a_slope_that_is_too_steep_is_named_with_its_tangent(angle, law):
         check_statics(problem)
 
 
-def test_modes_without_coordinates_and_none():
+def test_motions_are_found_without_coordinates():
     lifted, turning = plate(loads=weight(0.0, 1.0)), plate(law=am.Coulomb(1.0), loads=TIPPING)
     check_statics(replace(lifted, coordinates=None, near_nullspace=None))
     for problem, motion in (
@@ -235,7 +235,7 @@ def test_modes_need_not_be_orthonormal():
         check_statics(replace(problem, near_nullspace=mixed, load=-problem.load))
 
 
-def test_modes_that_are_no_rigid_motions():
+def test_modes_may_be_other_than_rigid_motions():
     # in skew coordinates of the user's: nothing is known about the shape of the motion, but it
     # is found
     problem = plate(law=am.Coulomb(1.0), loads=TIPPING)
@@ -254,8 +254,8 @@ def test_springs_hold():
         check_statics(replace(problem, matrix=problem.matrix + sparse.diags_array(springs)))
 
 
-def beside(one, matrix, load, points):
-    """A problem, and next to it what has this matrix, load and nodes, nothing fixed."""
+def next_to(one, matrix, load, points):
+    """Return a problem with further nodes, of this matrix and load, that nothing fixes."""
     return am.DiscreteProblem(
         matrix=sparse.block_diag([one.matrix, matrix], format="csr"),
         load=np.r_[one.load, load],
@@ -272,7 +272,7 @@ def test_two_bodies_are_checked_one_by_one():
     """A pressed plate, and a second one that no support and no contact holds."""
     one = plate(supports=LEFT)
     n = one.n_dofs
-    pair = beside(one, one.matrix, np.zeros(n), one.coordinates + 10.0)
+    pair = next_to(one, one.matrix, np.zeros(n), one.coordinates + 10.0)
     with pytest.raises(ValueError, match=f"not unique: .* of the body of node {n // 2} "):
         check_statics(pair)
     check_statics(replace(pair, fixed=pair.fixed | (np.arange(2 * n) >= n)))
@@ -282,10 +282,10 @@ def test_two_bodies_are_checked_one_by_one():
         check_statics(replace(pair, load=np.r_[one.load, np.tile([-1.0, 0.0], n // 2)]))
 
 
-def test_lone_nodes_are_no_bodies():
+def test_nodes_without_neighbours_are_not_bodies():
     # nodes decoupled from all others (eliminated by the user, say) are held by their own
     # diagonal
-    check_statics(beside(plate(supports=LEFT), sparse.eye_array(6), np.ones(6), np.zeros((3, 2))))
+    check_statics(next_to(plate(supports=LEFT), sparse.eye_array(6), np.ones(6), np.zeros((3, 2))))
 
 
 @pytest.fixture(scope="module")
