@@ -25,7 +25,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.discrete.block_rows import table_column
+from adaptmg.discrete.block_rows import table_column, table_row
 from adaptmg.discrete.coordinates import Coupling, block_diagonal
 from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.mesh.arrays import places_of
@@ -198,7 +198,7 @@ def diagonal_square(first, last, zero, kinds, inverse, u):
     total = 0.0
     for node in range(first, last):
         i = np.uint64(node)
-        _, block, _ = shared_row(kinds, i, i)
+        block, _ = table_row(kinds, i)
         for k in range(dim):
             pivot = inverse[dim * (dim * block + k) + k]
             if pivot > 0.0:
@@ -403,16 +403,16 @@ class Interface:
         self.dim = dim
         # L by nodes; its entries are the numbers of its blocks, from 1: zeros are not entries
         numbers = np.arange(1, len(level.lower_indices) + 1)
-        lower = sparse.csr_array(
-            (numbers, level.lower_indices.astype(np.int32), level.lower_indptr), shape=(n, n)
-        )[level.strips.rank]
+        lower = sparse.csr_array((numbers, level.lower_indices, level.lower_indptr), shape=(n, n))[
+            level.strips.rank
+        ]
         is_near = np.diff(coupling.weights.indptr) > 0
         for _ in range(self.LAYERS):
             is_near = is_near | (lower @ is_near + lower.T @ is_near > 0)
         self.nodes = np.flatnonzero(is_near).astype(np.int32)
         place = places_of(self.nodes, n, np.int32)
         self._set_rows(level, lower)
-        self.diagonal = level.diagonal.reshape(-1, dim * dim)[self.nodes].reshape(-1)
+        self.diagonal = level.diagonal_blocks(self.nodes).reshape(-1)
         self._set_followers(coupling, place, fixed)
         # fixed components stay where they are, though followers pull at them
         free = ~fixed.reshape(-1, dim)[self.nodes]

@@ -57,13 +57,12 @@ class SplitMatrix:
     """A matrix of ``dim`` x ``dim`` blocks in Cartesian components, fixed dofs eliminated."""
 
     dim: int
-    # (n_nodes,) int32: the row of L that each node has, which nodes share, and its diagonal block; (0,): rows are
-    # those of the nodes in the order of the sweeps, diagonal blocks those of the nodes
+    # (n_nodes,) int32, where nodes share rows: the number of the row of L, and of the diagonal block, of each node.
+    # (0,): row p of L is that of the node at place p of the sweeps, diagonal block i that of node i
     kinds: np.ndarray
     lower_indptr: np.ndarray  # (n_rows + 1,) int32
-    lower_indices: (
-        np.ndarray
-    )  # int32: block columns, ascending in a row; with ``kinds`` they count from the node
+    # int32: block columns, ascending in a row; with ``kinds`` they count from the node
+    lower_indices: np.ndarray
     lower: np.ndarray  # blocks, row by row, flat
     upper_indptr: np.ndarray  # as those of L; empty: U is the transpose of L
     upper_indices: np.ndarray
@@ -97,8 +96,8 @@ class SplitMatrix:
     @property
     def shared_arrays(self) -> tuple[np.ndarray, ...]:
         """Return what sweeps read that need L alone: ``kinds``, L and the inverse blocks."""
-        lower = self.lower_arrays
-        return self.kinds, *lower, self.inverse
+        # L before the inverse blocks: it makes both again, if they were set aside
+        return self.kinds, *self.lower_arrays, self.inverse
 
     @property
     def lower_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -196,10 +195,9 @@ class SplitMatrix:
     def _blocks(self) -> list[np.ndarray]:
         """Return the blocks at these places."""
         lower, upper = (part.reshape(-1, self.dim, self.dim) for part in (self.lower, self.upper))
-        if len(self.kinds):
-            lower = lower[self._entries[0]]
-        diagonal = self.diagonal_blocks()
-        return [lower, diagonal, lower.transpose(0, 2, 1) if self.symmetric else upper]
+        lower = lower[self._entries[0]]
+        upper = lower.transpose(0, 2, 1) if self.symmetric else upper
+        return [lower, self.diagonal_blocks(), upper]
 
     @cached_property
     def _order(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -307,14 +305,15 @@ def split(
 def _shared_rows(
     rows: BlockRows, strips: Strips, below: np.ndarray, held: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the row of L (n_nodes,) int32 that each node of a lattice has, and a node (n_rows,) that has
-    each row.
+    """Return the number (n_nodes,) int32 of the row of L of each node of a lattice, and for each row a
+    node (n_rows,) that has it.
 
-    Nodes share a row that are of one kind and have as many neighbours ``below`` (n_nodes,), by place.
-    Strips, even ones and then odd ones, are ranges of numbers: in an even strip L has the last of the
-    blocks before the diagonal, in an odd one all of these and the last of the others. Next to nodes
-    with fixed dofs, ``held`` (n_nodes,), each node has a row of its own. Hierarchy and solve take 368
-    bytes a dof with 66k nodes, 504 with 36k in space, with a row for each node 437 and 546."""
+    Nodes of one kind share a row if their rows of L have equally many blocks: ``below`` (n_nodes,), by
+    place. This number says which blocks: strips, even ones and then odd ones, are ranges of numbers, so
+    that L has the last of the blocks before the diagonal in an even strip, in an odd one all of these
+    and the last of those after it. Nodes with fixed dofs, ``held`` (n_nodes,), and their neighbours
+    share no row. Hierarchy and solve take 368 bytes a dof with 66k nodes, 504 with 36k in space; with a
+    row for each node 437 and 546."""
     places_of_kind = int(np.diff(rows.indptr).max()) + 1
     n_codes = places_of_kind * (len(rows.indptr) - 1)
     code = np.int32(places_of_kind) * rows.kinds[strips.order] + below
@@ -429,8 +428,9 @@ def is_galerkin(
 ) -> bool:
     """Return whether ``coarse`` is P'AP, tested on one pseudo-random vector. Each row is compared
     relative to the terms that it sums, so that errors of a soft body next to a stiff one count."""
-    # coarse nodes are fine ones, interpolated from themselves alone, which few are of independent
-    # meshes: the products below take 1.4 % of a loop that remeshes
+    # of nested meshes each coarse node is a fine one, whose row has a single entry. Independent meshes have too
+    # few such rows: they save the products below, 1.4 % of a loop that remeshes. (A user-defined
+    # prolongation that stores zeros fails, too: its product is then made.)
     if np.count_nonzero(np.diff(nodal.indptr) == 1) < nodal.shape[1]:
         return False
     transfer = ZERO[matrix.blocksize[0]], nodal.indptr, nodal.indices, nodal.data
@@ -470,9 +470,8 @@ ONE = np.uint64(1)
 def shared_row(kinds, place, i):
     """Return the row of L of node i at a place of the sweep, the number of its diagonal block, and what
     the columns of the row count from."""
-    if len(kinds) > 0:
-        return np.uint64(kinds[i]), np.uint64(kinds[i]), np.int64(i)
-    return place, i, ORIGIN
+    block, origin = table_row(kinds, i)
+    return block if len(kinds) > 0 else place, block, origin
 
 
 @kernel

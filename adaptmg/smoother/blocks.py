@@ -25,11 +25,11 @@ from adaptmg.discrete.block_rows import table_column
 AHEAD = 4096
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
+FIVE, SIX, SEVEN, EIGHT = np.uint64(5), np.uint64(6), np.uint64(7), np.uint64(8)
 #: steps of sweeps: kernels are compiled again for each number in the text of a call
 FORWARD, BACKWARD = np.int64(1), np.int64(-1)
-#: columns that do not count from the row count from here
+#: what columns count from in matrices whose nodes do not share rows
 ORIGIN = np.int64(0)
-FIVE, SIX, SEVEN, EIGHT = np.uint64(5), np.uint64(6), np.uint64(7), np.uint64(8)
 
 
 def in_loop(function: Callable) -> Callable:
@@ -274,8 +274,8 @@ def inverse_square(blocks, at, v):
 
 @in_loop
 def minus_row(i, origin, step, indptr, indices, data, w, r):
-    """Return r minus row i of a matrix (or half of one) times w. Columns count from ``origin``, which is
-    ORIGIN but in tables of rows. ``step``, FORWARD or BACKWARD, says how the blocks of the row are
+    """Return r minus row i of a matrix (or half of one) times w. Columns count from ``origin``: ORIGIN, or
+    the node where nodes share rows. ``step``, FORWARD or BACKWARD, says how the blocks of the row are
     read."""
     dim = np.uint64(len(r))
     begin = np.int64(indptr[i])
