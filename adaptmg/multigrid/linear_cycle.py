@@ -79,8 +79,8 @@ class LinearLevel:
         return sum(squares)
 
     def prolong(self, coarse: np.ndarray, to: np.ndarray, begin: np.ndarray | None = None) -> None:
-        """Add a prolonged vector of the level below to one of this level; with ``begin`` write their
-        sum to ``to``."""
+        """Add a prolonged vector of the level below to a vector of this level; with ``begin`` write the
+        sum of ``begin`` and the prolonged vector to it."""
         begin = to if begin is None else begin
         n = self.prolongation.shape[0]
         in_parts(add_prolonged, n, 2 * len(to), *self._transfer, coarse, begin, to)

@@ -429,8 +429,8 @@ def is_galerkin(
     """Return whether ``coarse`` is P'AP, tested on one pseudo-random vector. Each row is compared
     relative to the terms that it sums, so that errors of a soft body next to a stiff one count."""
     # of nested meshes each coarse node is a fine one, whose row has a single entry. Independent meshes have too
-    # few such rows: they save the products below, 1.4 % of a loop that remeshes. (A user-defined
-    # prolongation that stores zeros fails, too: its product is then made.)
+    # few such rows, and go without the products below, 1.4 % of a loop that remeshes. (False, too, for a
+    # user-defined prolongation that stores zeros: P'AP is then made.)
     if np.count_nonzero(np.diff(nodal.indptr) == 1) < nodal.shape[1]:
         return False
     transfer = ZERO[matrix.blocksize[0]], nodal.indptr, nodal.indices, nodal.data

@@ -350,8 +350,8 @@ def _blocks_at_contact(
 
 @kernel
 def _at_contact(first, last, order, kinds, indptr, indices, contact_of):
-    """Return the numbers (3, n) of the blocks of L in rows and columns of contact nodes, of their rows and
-    of their columns."""
+    """Return the blocks of L in rows and columns of contact nodes (3, n): their numbers, block rows and
+    block columns."""
     room = 0
     for place in range(first, last):
         row, _, _ = shared_row(kinds, np.uint64(place), np.uint64(order[place]))
@@ -438,8 +438,8 @@ def changed_blocks(
         for a in range(dim):
             for b in range(dim):
                 block[a, b] = blocks[e * size + a * dim + b]
-        # into the frames of the contact nodes, with the Newton rows of slip; _turn takes whether by the
-        # inverse frame, then whether the rows
+        # into the frames of the contact nodes, with the Newton rows of slip; _turn takes whether the frame is
+        # inverted, then whether rows are turned
         if row_contact >= 0:
             _turn(zero, frames, row_contact, no, yes, block, spare)
             if newton and codes[row_contact] & CLOSED:

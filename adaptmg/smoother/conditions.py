@@ -160,8 +160,8 @@ class Linearised:
         return self.coupling[:, None] * self.direction
 
     def has_matrix_of(self, other: Linearised) -> bool:
-        """Return whether both steps change the same terms of the matrix. At the same :attr:`key` they
-        may differ by friction or compliance that follows the state."""
+        """Return whether ``other`` has the same matrix. With the same :attr:`key` the two may still differ
+        by friction or compliance that follows the state."""
         return (
             np.array_equal(self.prescribed, other.prescribed)
             and np.array_equal(self.pull, other.pull)
