@@ -13,10 +13,11 @@ coordinates (:mod:`adaptmg.discrete.coordinates`), which :meth:`DiscreteProblem.
 from __future__ import annotations
 
 import copy
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial, wraps
-from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
+from typing import Any, ClassVar, TypeVar, TypeVarTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,7 +44,7 @@ from adaptmg.discrete.volumes import Volumes
 from adaptmg.problem.laws import Frictionless, Law, check_law, follows_state, friction_at
 
 Value = TypeVar("Value")
-Others = ParamSpec("Others")
+Others = TypeVarTuple("Others")
 
 
 class Computed(dict):
@@ -94,7 +95,8 @@ class DiscreteProblem(Unknowns):
     ----------
     matrix : scipy sparse (n_dofs, n_dofs)
         Stiffness with no boundary condition applied, symmetric, in Cartesian components, N/m. Kept
-        as BSR with dim x dim blocks.
+        as BSR with dim x dim blocks. Its entries, ``matrix.data``, may be changed in place between
+        two solves: the second one follows them.
     load : (n_dofs,) array
         N.
     fixed : (n_dofs,) bool array
@@ -427,16 +429,16 @@ class DiscreteProblem(Unknowns):
 
     def follow_entries(self) -> None:
         """Forget what was computed from the matrix if its entries have been changed since it was last
-        solved: what a user does to them counts. Two sums stand for them."""
-        sums = None  # a matrix that has not been read has not been changed
+        solved."""
+        checksum = None  # a matrix that has not been read has not been changed
         if "matrix" in vars(self):
-            entries = self.matrix.data.reshape(-1)
-            # not through BLAS, whose sums depend on the number of threads
-            sums = float(entries.sum()), float(np.einsum("i,i->", entries, entries))
-        if self._structure.setdefault("sums", sums) != sums:
-            self._structure.clear()
-            self._computed.clear()
-            self._structure["sums"] = sums
+            # 8 ms for 2.4 million entries, those of 66k nodes in the plane
+            checksum = zlib.crc32(np.ascontiguousarray(self.matrix.data).data)
+        # apart: other problems share the structure, and may have been solved first
+        for values in (self._structure, self._computed):
+            if values.setdefault("checksum", checksum) != checksum:
+                values.clear()
+                values["checksum"] = checksum
 
     def _check_fixed_at_contact(self) -> None:
         """Raise ValueError if a component with a part along the normal of a contact node is
@@ -480,18 +482,16 @@ class DiscreteProblem(Unknowns):
 
 
 def remembered(
-    function: Callable[Concatenate[DiscreteProblem, Others], Value],
-) -> Callable[Concatenate[DiscreteProblem, Others], Value]:
+    function: Callable[[DiscreteProblem, *Others], Value],
+) -> Callable[[DiscreteProblem, *Others], Value]:
     """Make a function compute once for each problem and its other arguments, which are hashable;
     exceptions are not remembered."""
 
     @wraps(function)
-    def remembering(
-        problem: DiscreteProblem, *arguments: Others.args, **named: Others.kwargs
-    ) -> Value:
-        key = function, *arguments, *sorted(named.items())
+    def remembering(problem: DiscreteProblem, *arguments: *Others) -> Value:
+        key = function, *arguments
         if key not in problem._computed:
-            problem._computed[key] = function(problem, *arguments, **named)
+            problem._computed[key] = function(problem, *arguments)
         return problem._computed[key]
 
     return remembering

@@ -129,9 +129,9 @@ def _levels_that_pay(grids: Grids) -> tuple[Grids, Solver, str]:
             last_taken = level
         else:
             too_close.append(level)
-    # the seconds that made the levels are not those of the solve. Without a problem there are no meshes
-    # between which a prolongation could be made, and all levels stay
+    # the seconds that made the levels are not those of the solve
     grids = replace(grids, timings={})
+    # without a problem there are no meshes between which a prolongation could be made: all levels stay
     for level in reversed(too_close if grids.problem is not None else ()):
         grids = grids.without(level)
     sizes_left_out = ", ".join(str(nodes[level]) for level in too_close)
@@ -175,8 +175,8 @@ def start_argument(
 
 
 def grids_argument(value: Grids | DiscreteProblem) -> Grids:
-    """Return a hierarchy, whose finest matrix may have other entries than when it was solved before; a bare
-    DiscreteProblem becomes one of one level."""
+    """Return a hierarchy; a bare DiscreteProblem becomes one of one level. What was computed from
+    the finest matrix is forgotten if its entries have been changed since the last solve."""
     if isinstance(value, DiscreteProblem):
         value = Grids.single(value)
     grids = checks.instance("grids", value, Grids, "a Hierarchy or a DiscreteProblem")

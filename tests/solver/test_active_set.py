@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from norms import far as closeness
+from scipy import sparse
 from smoother_problems import network
 
 import adaptmg as am
@@ -130,11 +131,29 @@ def test_band_round_a_drum_slips_as_the_belt_equation_has_it():
     ],
 )
 def test_entries_of_the_matrix_that_a_user_changes_between_solves_count(solution):
-    bar = grids("bar, friction 1").finest.discrete
-    softer = replace(bar, matrix=1.0 * bar.matrix)
-    solution(softer)
-    softer.matrix.data[...] *= 0.5
-    assert closeness(solution(softer), solution(replace(bar, matrix=0.5 * bar.matrix))) < 1e-13
+    """Two nodes on springs, the first one on an obstacle: their springs are exchanged."""
+    discrete = am.DiscreteProblem(
+        matrix=sparse.diags_array([1.0, 1.0, 2.0, 2.0]),
+        load=np.array([1.0, -1.0, 1.0, 1.0]),
+        fixed=np.zeros(4, dtype=bool),
+        contact=am.ContactNodes(nodes=[0], normals=[[0.0, -1.0]], gaps=[0.0]),
+    )
+    for first, second in ((1.0, 2.0), (2.0, 1.0)):
+        expected = [[1 / first, 0.0], [1 / second, 1 / second]]
+        np.testing.assert_allclose(solution(discrete).displacement, expected, atol=1e-14)
+        entries = discrete.matrix.data
+        entries[...] = entries[::-1].copy()
+
+
+def test_entries_that_are_changed_count_in_each_problem_of_a_matrix():
+    bar = am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8))
+    smooth = bar.with_problem(am.cases.greco_bar(law=am.Frictionless()))
+    for hierarchy in (bar, smooth):
+        assert am.solve(hierarchy, am.ActiveSet()).status.ok
+    bar.finest.discrete.matrix.data[...] *= 0.5
+    for hierarchy in (smooth, bar):
+        result = am.solve(hierarchy, am.ActiveSet(), throw=False)
+        assert "stiffness" in result.certificate().contradictions(1e-6)
 
 
 def test_work_of_direct_steps_is_a_residual_each():
