@@ -278,8 +278,6 @@ def advise_on_adhesion(discrete: DiscreteProblem, contact: ContactResult) -> Non
     """Warn of boundaries whose open nodes, with Tresca's law, carry more friction than those in
     contact."""
     limit, _ = discrete.law.bounds(len(contact.node))
-    if not np.any(limit):  # most laws have none
-        return
     friction = np.where(limit > 0, np.linalg.norm(contact.force_t, axis=1), 0.0)
     by_open = np.bincount(contact.boundary, friction * ~contact.closed, len(contact.names))
     by_closed = np.bincount(contact.boundary, friction * contact.closed, len(contact.names))
@@ -431,8 +429,8 @@ def _advise_on_rotations(mesh: MeshArrays, results: Sequence[Result]) -> None:
         place = mesh.points[nodes] - mesh.points[nodes].mean(axis=0)
         # the gradients of the linear motions next to those of the nodes
         changes = [motion[nodes] - motion[nodes].mean(axis=0) for motion in motions]
-        gradients = np.linalg.lstsq(place, np.concatenate(changes, axis=1), rcond=None)[0]
-        for gradient in gradients.reshape(mesh.dim, -1, mesh.dim).swapaxes(0, 1):
+        gradients = np.linalg.lstsq(place, np.hstack(changes), rcond=None)[0]
+        for gradient in np.hsplit(gradients, len(motions)):
             # the skew part has entries theta, so that |G - G'| = 2 sqrt(2) theta
             angle = np.linalg.norm(gradient - gradient.T) / np.sqrt(8)
             if not angle > ROTATION:

@@ -879,13 +879,18 @@ class _NearestFriction:
     turning: np.ndarray
 
 
+def any_component(vectors: np.ndarray) -> np.ndarray:
+    """Return where vectors (n, dim) are not zero: 5 us for 4225, by any(axis=1) 60."""
+    return np.logical_or.reduce(list(vectors.T))
+
+
 @remembered_of_structure
 def _held_elsewhere(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     """Return the nodes (m,) off the contact boundaries that supports or ties hold, and projections
     (m, dim, dim) onto their free directions."""
     inclined = problem.inclined
     fixed = problem.fixed.reshape(-1, problem.dim)
-    held = np.logical_or.reduce(list(fixed.T))
+    held = any_component(fixed)
     held[inclined.nodes] = True
     held[problem.contact.nodes] = False
     nodes = np.flatnonzero(held)
@@ -897,7 +902,7 @@ def _held_elsewhere(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
 def _image(rows: BlockRows, change: np.ndarray) -> np.ndarray:
     """Return A v (n_nodes, dim) of a symmetric matrix and a vector that is zero except at few nodes: in
     a tenth of the time of a product for the 257 contact nodes of 66k."""
-    nodes = np.flatnonzero(np.logical_or.reduce(list(change.T)))
+    nodes = np.flatnonzero(any_component(change))
     places, columns, of_nodes = rows.entries(nodes)
     blocks = rows.data.reshape(-1, rows.dim, rows.dim)[places]
     images = np.zeros(change.shape)  # untouched memory is not taken

@@ -37,7 +37,13 @@ from adaptmg.smoother.system import (
     held_tangents,
     local_contact,
 )
-from adaptmg.solver.certificate import Certificate, ConditionsOnMesh, certify, ratio
+from adaptmg.solver.certificate import (
+    Certificate,
+    ConditionsOnMesh,
+    any_component,
+    certify,
+    ratio,
+)
 
 if TYPE_CHECKING:
     import pandas
@@ -550,7 +556,7 @@ class Sizes:
         fixed = problem.fixed
         lift = problem.rows.times(problem.fixed_values)  # A ubar, ubar the prescribed values
         self._lift_energy = float(np.einsum("i,i->", problem.fixed_values, lift))  # ubar'A ubar
-        nodes = np.flatnonzero(fixed.reshape(-1, problem.dim).any(axis=1))
+        nodes = np.flatnonzero(any_component(fixed.reshape(-1, problem.dim)))
         is_fixed = fixed.reshape(-1, problem.dim)[nodes].reshape(-1)
         self._fixed_rows = sparse.csr_array(problem.rows.at_nodes(nodes))[is_fixed]
         self._lift_at_fixed = lift[fixed]

@@ -66,7 +66,8 @@ def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, 
     part with free motions; None if the rigid motions are unknown."""
     if problem.near_nullspace is None:
         return None
-    # strongly connected parts: of a symmetric matrix the same, without a transpose of the graph
+    # strongly connected parts: of a symmetric matrix the same without a transpose of the graph, but
+    # not in the order of their first nodes
     n_bodies, body_of = connected_components(node_graph(problem.matrix), connection="strong")
     stiff = problem.matrix @ problem.near_nullspace
     bodies = np.split(np.argsort(body_of, kind="stable"), np.cumsum(np.bincount(body_of))[:-1])

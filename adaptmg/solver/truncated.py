@@ -529,10 +529,11 @@ class TruncatedRun:
         problem = self.problems[0]
         near = None if past is None or not past[0].any() else past[0]
         try:
-            if near is None:
-                solution, steps, passes = coarsest_solution(problem, start.rtol)
-            else:
-                solution, steps, passes = coarsest_solution_near(problem, start.rtol, near)
+            solution, steps, passes = (
+                coarsest_solution(problem, start.rtol)
+                if near is None
+                else coarsest_solution_near(problem, start.rtol, near)
+            )
         except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
             _LOG.info("coarsest level: the active set method gives up: %s", error)
             return [problem.with_prescribed(np.zeros(problem.n_unknowns))]
