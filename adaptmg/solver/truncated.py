@@ -203,7 +203,9 @@ class TruncatedCycles:
         # contact status is uncertain: a whole correction may carry open nodes through the obstacle.
         # The next one then ends where the first of them closes; a small one does not: with these
         # shortened, too, 6 of 354 solves of random bodies and 3 of 6 meshes of a loop take a cycle
-        # more, none fewer.
+        # more, none fewer. With no first one shortened 12 of 96 solves of beams from 5 : 1 to 50 : 1
+        # are handed over that otherwise converge; 90 solves of random bodies in the plane take 417
+        # cycles with a fifth and half of this limit, too.
         is_uncertain = (
             self.coarse is not None and self.origin != "given" and state.linearised is None
         )
