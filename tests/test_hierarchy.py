@@ -581,10 +581,13 @@ def test_a_forecast_is_right_to_the_factors_it_names(case):
 
 def test_a_scalar_problem_of_matrices_is_forecast_as_one_of_a_mesh():
     grids = am.Hierarchy.graded(am.cases.obstacle_problem(), (0.4, 0.2))
-    bare = am.Hierarchy.algebraic(grids.finest.discrete, max_coarse=20)
-    costs = bare.forecast(finer=4)
-    assert (costs.nodes, costs.unknowns) == (grids.forecast(finer=4).nodes,) * 2
-    assert costs.nodes > 10 * grids.finest.n_nodes
+    finest = grids.finest.discrete
+    parts = {name: getattr(finest, name) for name in ("matrix", "load", "law", "fixed", "contact")}
+    nodes = grids.forecast(finer=4).nodes
+    assert nodes > 10 * grids.finest.n_nodes
+    for discrete in (finest, am.DiscreteProblem(**parts)):  # with and without coordinates
+        costs = am.Hierarchy.algebraic(discrete, max_coarse=20).forecast(finer=4)
+        assert (costs.nodes, costs.unknowns) == (nodes, nodes)
 
 
 def ball_between_planes():
