@@ -330,7 +330,7 @@ class Remesh:
             largest = surface.measures.sum() ** (1 / (mesh.dim - 1)) / _EDGES
             if sizes[surface.nodes].max() > largest:
                 sizes[surface.nodes] = np.minimum(sizes[surface.nodes], largest)
-                sizes = graded_sizes(mesh, sizes, GRADING)
+                sizes = Grading(mesh, GRADING)(sizes)
         return sizes
 
     def intermediate(
@@ -460,7 +460,7 @@ def equilibrated_sizes(
 
 
 class Grading:
-    """Limits the growth of sizes along the edges of a mesh.
+    """Limits the growth of sizes along the edges of a mesh to ``growth`` per distance.
 
     Graded sizes are distances from a further node, whose edge to each of the others is as long as
     the size there: its row is the last one of ``graph``."""
@@ -484,16 +484,10 @@ class Grading:
         )
 
     def __call__(self, sizes: np.ndarray) -> np.ndarray:
-        """Return the largest sizes (n_nodes,), m, not above ``sizes`` (n_nodes,) that grow by at most
-        ``growth`` per distance along edges."""
+        """Return the largest sizes (n_nodes,), m, of this growth that are not above ``sizes`` (n_nodes,)."""
         n = self.n_nodes
         self.graph.data[-n:] = sizes
         return dijkstra(self.graph, indices=n)[:n]  # pyright: ignore[reportArgumentType]  scipy-stubs
-
-
-def graded_sizes(mesh: MeshArrays, sizes: np.ndarray, growth: float) -> np.ndarray:
-    """Return the sizes (n_nodes,), m, with limited growth (:class:`Grading`)."""
-    return Grading(mesh, growth)(sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -525,4 +519,4 @@ def mean_sizes(coarse: MeshArrays, fine: MeshArrays, growth: float) -> SizeField
     for index, body in enumerate(fine.bodies):
         nodes = np.unique(fine.elements[fine.element_body == index])
         sizes[nodes] = np.sqrt(sizes[nodes] * of_coarse.function(body)(fine.points[nodes]))
-    return SizeField(fine, graded_sizes(fine, sizes, growth))
+    return SizeField(fine, Grading(fine, growth)(sizes))

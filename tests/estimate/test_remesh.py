@@ -13,10 +13,10 @@ from simplex_meshes import delaunay, log_graded, structured, two_boxes
 
 import adaptmg as am
 from adaptmg.estimate.engines import (
+    Grading,
     NodeCount,
     SizeField,
     equilibrated_sizes,
-    graded_sizes,
     mean_sizes,
     nodal_sizes,
     simplex_sizes,
@@ -182,7 +182,7 @@ def test_gradation_is_the_largest_field_below_that_grows_slowly(seed, dim, growt
     graph = sparse.lil_array((mesh.n_nodes, mesh.n_nodes))
     graph[pairs[:, 0], pairs[:, 1]] = growth * lengths
     largest = (shortest_path(graph.tocsr(), directed=False) + sizes).min(axis=1)
-    np.testing.assert_allclose(graded_sizes(mesh, sizes, growth), largest, rtol=1e-12)
+    np.testing.assert_allclose(Grading(mesh, growth)(sizes), largest, rtol=1e-12)
     assert (before == sizes).all()
 
 
@@ -233,10 +233,11 @@ def test_number_of_nodes_bounds_and_growth(seed, growth, spread):
     pairs, lengths = edges_of(mesh)
     assert (np.abs(sizes[pairs[:, 0]] - sizes[pairs[:, 1]]) <= 0.3 * lengths * (1 + 1e-9)).all()
     assert (sizes <= 1.5 * old * (1 + 1e-9)).all()
-    lowest = graded_sizes(mesh, 0.1 * old, 0.3)
+    grading = Grading(mesh, 0.3)
+    lowest = grading(0.1 * old)
     assert (sizes >= lowest * (1 - 1e-9)).all()
     count = NodeCount(mesh)
-    highest = graded_sizes(mesh, 1.5 * old, 0.3)
+    highest = grading(1.5 * old)
     reachable = np.clip(growth * mesh.n_nodes, count(highest), count(lowest))
     assert count(sizes) == pytest.approx(reachable, rel=0.01)
 
