@@ -367,7 +367,7 @@ def solved(
         return am.solve(levels, solver, throw=False, callback=callback), levels, []
     steps = []
     loop = partial(am.adapt, problem, progress=callback, store=store)
-    for step in _made_with_settings(loop, dict(settings["adapt"]), "adapt.", "this loop"):
+    for step in _made_with_settings(loop, settings["adapt"], "adapt.", "this loop"):
         steps.append(step)
         if on_step is not None:
             on_step(step)
