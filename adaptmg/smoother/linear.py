@@ -224,7 +224,8 @@ class AMG:
         smoother = ("block_gauss_seidel", {"sweep": "symmetric"})
         with seeded():
             hierarchy = pyamg.smoothed_aggregation_solver(
-                sparse.bsr_matrix(basis),
+                # pyamg 5.2 smooths matrices with indices of 32 bits only
+                checks.narrowed(sparse.bsr_matrix(basis)),
                 B=near_nullspace,
                 symmetry="symmetric",
                 strength=("symmetric", {"theta": 0.0}),  # pyright: ignore[reportArgumentType]  pyamg has no stubs
