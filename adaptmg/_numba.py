@@ -107,8 +107,9 @@ def _typed_prefetch(typing_context, address):
             "llvm.prefetch", [byte_pointer], ir.FunctionType(ir.VoidType(), arguments)
         )
         place = builder.inttoptr(values[0], byte_pointer)
+        # for reading; kept in all caches; data, not instructions
         builder.call(function, [place, integer(0), integer(3), integer(1)])
-        return context.get_dummy_value()
+        return context.get_dummy_value()  # of void
 
     return types.void(types.uintp), generate
 

@@ -104,8 +104,8 @@ def in_parts(kernel: Callable, n: int, size: int, *arguments: object, joined: bo
 
 
 def sum_of_parts(kernel: Callable, n: int, size: int, *arguments: object) -> float | np.ndarray:
-    """Return the sum of what ``kernel(first, last, *arguments)`` returns for parts independent of
-    the threads."""
+    """Return the sum of what ``kernel(first, last, *arguments)`` returns for parts of its n rows. How
+    many there are follows from ``size``, the numbers that all rows read, and not from the threads."""
     parts = in_parts(kernel, n, size, *arguments, joined=False)
     return parts[0] if len(parts) == 1 else np.sum(parts, axis=0)
 

@@ -308,8 +308,10 @@ def upset_block(
     Friction holds the foot, so that sticking contact meets the free 90 degree corner at x = 0:
     there u ~ r^lambda with lambda < 1.
 
-    ``reference`` holds, for friction 0.5 and a Poisson's ratio > 0, ``exponent`` (lambda) and
-    ``uniform_rate``: the energy error falls like N^-uniform_rate on uniform meshes of N nodes.
+    ``reference`` holds, for constant friction that suffices for that and a Poisson's ratio > 0 (at 0
+    nothing spreads, and lambda is 1), ``exponent`` (lambda) and ``uniform_rate``: the energy error
+    falls like N^-uniform_rate on uniform meshes of N nodes. Friction 0.5 suffices for Poisson's ratios
+    up to 0.496, friction 0.3 for those up to 0.297.
 
     Parameters
     ----------
@@ -332,8 +334,9 @@ def upset_block(
         size=size,
     )
     reference = {}
-    if constant_friction(law) == 0.5 and poisson > 0:
-        exponent = _clamped_free_exponent(poisson)
+    friction = constant_friction(law)
+    exponent = _clamped_free_exponent(poisson)
+    if poisson > 0 and (friction or 0.0) >= _holding_friction(poisson, exponent):
         reference = {
             "exponent": exponent,
             "uniform_rate": exponent / 2,
@@ -352,6 +355,21 @@ def _clamped_free_exponent(poisson: float) -> float:
         return math.sin(exponent * math.pi / 2) ** 2 - ratio
 
     return float(brentq(characteristic, 0, 1))
+
+
+def _holding_friction(poisson: float, exponent: float) -> float:
+    r"""Return the friction from which on that corner sticks: the ratio of its shear traction to its
+    pressure, the same all along the clamped side.
+
+    With :math:`\varphi = a z^\lambda,\ \psi = b z^\lambda,\ \kappa = 3 - 4\nu` (as in
+    :mod:`adaptmg.cases.transition`) no displacement at y = 0 makes
+    :math:`\bar b = \kappa a - \lambda\bar a`, so that :math:`\sigma_{yy} + i\sigma_{xy} = \lambda (1 +
+    \kappa)\bar a x^{\lambda - 1}`, and no force on x = 0 makes
+    :math:`2\lambda\bar a = a (\kappa + e^{i\pi\lambda})`: the angle of a is half that of
+    :math:`\kappa + e^{i\pi\lambda}`, but for its sign."""
+    kappa = 3 - 4 * poisson
+    turn = math.pi * exponent
+    return math.tan(0.5 * math.atan2(math.sin(turn), kappa + math.cos(turn)))
 
 
 _MM = 1 / 1000

@@ -114,7 +114,12 @@ def coulomb_transition(
 def _field(
     kind: str, away: bool, friction: float, pressure: float, material: am.PlaneStrain
 ) -> TransitionField:
-    """Return the mode with a size, a sign and a uniform part that make all states admissible."""
+    """Return the mode with a size, a sign and a uniform part that make all states admissible.
+
+    "open": the mode presses where x > 0, and there friction points against ``direction``; in front of
+    it, where x < 0, the gap opens. Slip has the right sign at all nodes once the whole is shifted.
+    "stick": on x < 0 the traction t must stay below the limit, direction t_xy < f p. The uniform part
+    is exactly at the limit, and the mode, of either sign, is chosen to lower it there."""
     poisson = material.poisson
     direction = 1.0 if away else -1.0
     beta = (1 - 2 * poisson) / (2 * (1 - poisson))
@@ -129,8 +134,8 @@ def _field(
         uniform = 0.0
         shear = 0.0
     else:
-        # the tangential traction at x < 0 must stay below the limit, which the uniform part reaches: by the
-        # mode alone direction xy + friction yy is excess there, made -friction times pressure at x = -1
+        # direction sigma_xy + f sigma_yy, which must be negative on x < 0: of the mode alone it is ``excess``
+        # at x = -1, of the sum -f times the uniform pressure, so that slipping and sticking are alike in size
         excess = direction * left[2] + friction * left[1]
         scale = -friction * pressure / excess
         uniform = pressure

@@ -14,9 +14,9 @@ SOLID = am.cases.greco_block()
 PAIR = am.cases.two_block_patch()
 
 
-def _solved(problem: am.ContactProblem, *methods: Any, size: float = 0.25) -> None:
-    """Solve a problem on three graded meshes, the coarsest one of this size over that of the
-    body."""
+def _solve_graded(problem: am.ContactProblem, *methods: Any, size: float = 0.25) -> None:
+    """Solve a problem on three graded meshes; the elements of the coarsest one are this part of the
+    largest body's length."""
     parts = getattr(problem.domain, "parts", {"": problem.domain}).values()
     extent = max(float(max(part.upper - part.lower)) for part in parts)
     sizes = [size * extent * 0.6**level for level in range(3)]
@@ -30,7 +30,7 @@ def _methods(problem: am.ContactProblem) -> None:
     monotone = am.FullMultigrid(correction=am.Monotone())
     paper = am.FullMultigrid(correction=am.PaperCorrection(), max_cycles=3)
     methods = (am.FullMultigrid(), monotone, paper, am.SingleGrid(max_sweeps=20))
-    _solved(problem, *methods, am.ActiveSet(), am.ActiveSet(condensed=False, max_steps=1))
+    _solve_graded(problem, *methods, am.ActiveSet(), am.ActiveSet(condensed=False, max_steps=1))
 
 
 def _transfers() -> None:
@@ -64,12 +64,12 @@ def _pictures() -> None:
 STEPS: Mapping[str, Callable[[], object]] = {
     "plane bodies, every method": lambda: _methods(PLANE),
     "solids, every method": lambda: _methods(SOLID),
-    "two bodies": lambda: _solved(PAIR),
-    "two solids": lambda: _solved(am.cases.two_block_patch(dim=3)),
-    "axisymmetric bodies": lambda: _solved(am.cases.hertz_sphere(), size=0.1),
-    "smoothed elements": lambda: _solved(replace(PLANE, elements="smoothed")),
-    "smoothed elements of solids": lambda: _solved(replace(SOLID, elements="smoothed")),
-    "nearly incompressible bodies": lambda: _solved(
+    "two bodies": lambda: _solve_graded(PAIR),
+    "two solids": lambda: _solve_graded(am.cases.two_block_patch(dim=3)),
+    "axisymmetric bodies": lambda: _solve_graded(am.cases.hertz_sphere(), size=0.1),
+    "smoothed elements": lambda: _solve_graded(replace(PLANE, elements="smoothed")),
+    "smoothed elements of solids": lambda: _solve_graded(replace(SOLID, elements="smoothed")),
+    "nearly incompressible bodies": lambda: _solve_graded(
         replace(am.cases.greco_bar(poisson=0.49), elements="smoothed")
     ),
     "a large lattice": lambda: am.discrete.stiffness(

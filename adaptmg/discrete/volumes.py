@@ -247,7 +247,8 @@ def _groups_of_nodes(cells: np.ndarray, starts: np.ndarray, size: int) -> tuple[
 
 def _nodes_of_bodies(mesh: MeshArrays, chosen: np.ndarray) -> np.ndarray:
     """Return the corners (n_chosen, dim + 1) of chosen elements, a mask (n_elements,), by numbers of
-    their nodes along a curve through space. A node that several bodies share has a number for each."""
+    their nodes along a curve through space, along which groups grow side by side: few gaps are left
+    between them. A node that several bodies share has a number for each."""
     cells, points = separate_bodies(mesh)
     nodes, number = np.unique(cells[chosen], return_inverse=True)
     rank = np.empty(len(nodes), dtype=np.int32)

@@ -506,9 +506,9 @@ class Dissipation:
 
 
 def _slave_weights(view: GoalView, boundary: str) -> np.ndarray:
-    """Return the weights w (n_contact,) of the contact nodes of a boundary, which are the measures of
-    the surface that belongs to each node by itself, m or m^2, and 0 at other contact nodes; ValueError
-    for the master of a pair."""
+    """Return the weights w (n_contact,) of the contact nodes of a boundary, m or m^2: the measure of the
+    surface that belongs to each node, in pairs that of the slave alone, and 0 at other contact nodes;
+    ValueError for the master of a pair."""
     on_boundary, sign = _contact_mask(view.touching, boundary)
     if sign < 0:
         raise ValueError(f"boundary {boundary!r} is the master of a pair: give the slave")

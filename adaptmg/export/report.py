@@ -273,8 +273,8 @@ class Report:
         self.summary = _text("summary", summary)
         self.terms = _text("terms", terms)
         self._cards: list[dict[str, object]] = []
-        self._sections = [_Section("", "")]
-        self._made: dict[str, str] = {}
+        self._sections = [_Section("", "")]  # the first holds what stands before all headings
+        self._facts: dict[str, str] = {}  # of the caller, besides those of _made()
 
     def card(
         self,
@@ -377,7 +377,7 @@ class Report:
         """Add facts on the origin of the page (seeds, command) next to versions, machine and
         time."""
         for name, fact in facts.items():
-            self._made[name.replace("_", " ").capitalize()] = _text(name, fact, empty=False)
+            self._facts[name.replace("_", " ").capitalize()] = _text(name, fact, empty=False)
 
     def write(self, path: str | os.PathLike[str]) -> Path:
         """Write the page and return its path; the file appears complete or not at all."""
@@ -394,7 +394,7 @@ class Report:
             cards=self._cards,
             sections=self._sections,
             keys={section.key for section in self._sections[1:]},
-            facts=_made() | self._made,
+            facts=_made() | self._facts,
         )
 
     def _add(self, kind: str, part: object) -> None:

@@ -81,8 +81,10 @@ def tables(
     boundaries: Sequence[str] | None = None,
     bodies: Sequence[str] | None = None,
 ) -> Tables:
-    """Copy the tables of a mesh: points, elements, facets, labels of these, the names that labels
-    are numbers of, the body of each element, names of the bodies."""
+    """Copy the tables of a mesh: points (n, dim), elements (n_elements, dim + 1), facets
+    (n_facets, dim), labels of these, the names that labels are numbers of, the body of each element,
+    names of the bodies. An ngsolve.Mesh knows the names of ``boundaries`` and ``bodies``; without
+    either, they are those that Netgen's mesh has itself."""
     dim = mesh.dim
     if dim not in (2, 3):
         raise ValueError(f"mesh must be 2D or 3D, got a {dim}D mesh")
@@ -101,6 +103,7 @@ def tables(
     elements, body = _cut_into_simplices(volume, points)
     facets = surface["nodes"][:, :2].astype(np.int64) - 1
     label = surface["index"].astype(np.int64) - 1
+    # in the plane the index of a segment is its boundary, in space that of a face descriptor
     if dim == 3:
         facets, label = _cut_into_simplices(surface)
         faces = np.array([face.bc for face in mesh.FaceDescriptors()], dtype=np.int64) - 1
@@ -180,7 +183,8 @@ def _cut_into_simplices(
 
 
 def _indices(what: str, index: np.ndarray, size: int) -> np.ndarray:
-    """Return an index (n,) unchanged; ValueError, which names ``what`` it is, unless it is below ``size``."""
+    """Return an index (n,) unchanged; ValueError, which names ``what`` it is, unless it is
+    from 0 to ``size`` - 1."""
     if index.min() < 0 or index.max() >= size:
         raise ValueError(
             f"mesh: {what} of an element must be from 1 to {size}, got {index.min() + 1} to "

@@ -544,14 +544,15 @@ class TruncatedStep:
         return float(np.sqrt(max(square, 0.0)))
 
     def rounding(self, unknowns: np.ndarray) -> float:
-        """Return the norm of D u, D the diagonal, N; no residual falls below this times the unit of
-        rounding."""
+        """Return the norm of D u, N; no residual falls below this times the unit of rounding. The
+        sweeps store only the inverses of diagonal blocks: D is the reciprocal of their diagonals, at
+        most the diagonal of the matrix."""
         matrix = self.matrix
         matrix.complete()
         square = sum_of_parts(
             projected_sweeps.diagonal_square,
             matrix.n_nodes,
-            matrix.dim * matrix.n_dofs,
+            matrix.dim * matrix.n_dofs,  # the entries of the inverse blocks
             ZERO[matrix.dim],
             matrix.kinds,
             matrix.inverse,

@@ -140,14 +140,15 @@ class _MovingPart(Acting):
     """The fields and checks that Moving and Rigid share."""
 
     obstacle: Obstacle
-    about: np.ndarray | None
-    dim: int
+    about: np.ndarray | None  # (dim,), m: the point about which it turns
+    dim: int  # of the motion: components of its first amount, a displacement or a force
 
     def __post_init__(self) -> None:
         super().__post_init__()
         inner = self.obstacle
         if isinstance(inner, Rigid):
             raise TypeError("obstacle must not be Rigid: write Rigid(Moving(...), ...)")
+        # the default of ``about``: a point of the plane, that of a Moving inside, else the origin
         place = (
             inner.point if isinstance(inner, Plane) else getattr(inner, "about", np.zeros(self.dim))
         )

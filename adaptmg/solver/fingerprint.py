@@ -516,8 +516,8 @@ def _reads(
     code: CodeType,
 ) -> tuple[list[tuple[str, ...]], list[tuple[int, str, tuple[str, ...] | None]]]:
     """Return the globals and variables of closures that code reads, each with the attributes taken
-    from it, and its imports (level, module, names). A hidden name that is read as an attribute of any
-    other value, as of an argument, comes after an empty first name, since that value has no name."""
+    from it, and its imports (level, module, names). A hidden name that is read as an attribute of
+    whatever value, as of an argument, also comes after an empty first name, since most have no name."""
     chains = []
     imports = []
     # the code itself and, as the list grows, all functions inside it. Only variables of closures that

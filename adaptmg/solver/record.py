@@ -144,7 +144,8 @@ class Run:
 
     def shortfall(self, solution: np.ndarray, rtol: float) -> float:
         """Return the factor by which the certificate finds the error of a solution (n_unknowns,) above
-        ``rtol``; 1 if another condition fails, 0 if it passes or only rounding is left."""
+        ``rtol``; 1 if another condition fails, 0 if it passes or only rounding is left. Also 0 where
+        nothing judges: without an examiner, and for rtol = 0, where another test ends the solve."""
         if self.examiner is None or not rtol > 0:
             return 0.0
         with self.phase("certificate"):

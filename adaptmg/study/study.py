@@ -158,7 +158,7 @@ class Study:
         self._depends = checks.mapping(
             "depends", {} if depends is None else depends, "names to what stands for them"
         )
-        self._fingerprint()
+        self._fingerprint()  # raises here, not in the first run, where a dependency cannot be seen
         if (
             inspect.iscoroutinefunction(run)
             or inspect.isgeneratorfunction(run)
@@ -457,6 +457,7 @@ class Study:
             left = held
 
     def _fingerprint(self) -> Fingerprint:
+        """Return what the results depend on now; TypeError where that cannot be seen."""
         return study_fingerprint(self._function, self._depends)
 
     def _warn_of_changes(self, before: Fingerprint) -> None:

@@ -103,10 +103,11 @@ class PointLocator(SimplexLocator):
 
 
 def nodes_of_bodies(mesh: MeshArrays, name: str = "fine") -> np.ndarray:
-    """Return the body of each node (n_nodes,), the first where bodies share one; ValueError if a
-    node belongs to no element."""
+    """Return the body of each node (n_nodes,), that of its first element where bodies share it;
+    ValueError if a node belongs to no element."""
     body = np.full(mesh.n_nodes, -1, dtype=np.int64)
     corners = mesh.elements.shape[1]
+    # backwards, since the last assignment to a node counts
     body[mesh.elements.ravel()[::-1]] = np.repeat(mesh.element_body, corners)[::-1]
     if (body < 0).any():
         raise ValueError(

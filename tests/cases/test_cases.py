@@ -67,7 +67,10 @@ def test_reference_values_belong_to_the_default_parameters():
     # tables of the clamped-free corner, as at .2
     stiff = cases.upset_block(poisson=0.3)
     assert stiff.reference["exponent"] == pytest.approx(0.711, abs=5e-4)
-    assert not cases.upset_block(law=am.Coulomb(0.4)).reference
+    # by Williams' Airy functions r^(lambda+1) F(angle): the foot needs friction .2124 and .5030
+    for friction, poisson, sticks in ((0.2, 0.2, False), (0.22, 0.2, True), (0.5, 0.499, False)):
+        block = cases.upset_block(law=am.Coulomb(friction), poisson=poisson)
+        assert bool(block.reference) == sticks
     assert not cases.curved_obstacle(radius=2.0).reference
 
 
