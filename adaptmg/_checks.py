@@ -18,10 +18,12 @@ from typing import (
     TYPE_CHECKING,
     Annotated,
     Any,
+    Literal,
     SupportsIndex,
     TypeVar,
     cast,
     get_args,
+    get_origin,
     get_type_hints,
     overload,
 )
@@ -29,6 +31,7 @@ from typing import (
 import numpy as np
 
 from adaptmg._machine import memory
+from adaptmg._text import brief
 
 if TYPE_CHECKING:  # Netgen's process does without scipy
     from scipy import sparse
@@ -62,12 +65,6 @@ _Key = TypeVar("_Key")
 Types = type[_T] | tuple[type[_T], ...]
 
 
-def convert(owner: object, check: Callable[..., object], /, *names: str, **options: object) -> None:
-    """Replace fields of a frozen dataclass by what ``check(name, value, **options)`` returns."""
-    for name in names:
-        object.__setattr__(owner, name, check(name, getattr(owner, name), **options))
-
-
 def number(name: str, value: object) -> float:
     """Return ``value`` as a finite float; bools, strings, complex numbers and arrays of several
     numbers are refused."""
@@ -83,7 +80,7 @@ def number(name: str, value: object) -> float:
     return result
 
 
-def _number_that(words: str, condition: Callable[[float], bool]) -> Callable[[str, object], float]:
+def number_that(words: str, condition: Callable[[float], bool]) -> Callable[[str, object], float]:
     """Return a check for finite numbers with a condition, which ``words`` describe."""
 
     def check(name: str, value: object) -> float:
@@ -95,9 +92,9 @@ def _number_that(words: str, condition: Callable[[float], bool]) -> Callable[[st
     return check
 
 
-positive = _positive = _number_that("> 0", lambda x: x > 0)
-nonnegative = _number_that(">= 0", lambda x: x >= 0)
-tolerance = _number_that("> 0 and < 1, a share of the solution", lambda x: 0 < x < 1)
+positive = _positive = number_that("> 0", lambda x: x > 0)
+nonnegative = number_that(">= 0", lambda x: x >= 0)
+tolerance = number_that("> 0 and < 1, a share of the solution", lambda x: 0 < x < 1)
 
 
 def quantity(name: str, value: object, *, positive: bool = False) -> float:
@@ -497,8 +494,11 @@ def suggestion(name: str, names: Iterable[str]) -> str:
 class Checked:
     """A frozen dataclass whose annotations say how its fields are checked.
 
-    A field ``Annotated[T, check]`` becomes what ``check(name, value)`` returns; with ``| None`` it
-    may be None too."""
+    A field ``Annotated[T, check]`` becomes what ``check(name, value)`` returns, and a field
+    ``Literal[...]`` must be one of these values; with ``| None`` it may be None too. A class made
+    with ``repr=False`` prints the fields that differ from their defaults."""
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for name, check, optional in _field_checks(type(self)):
@@ -515,10 +515,12 @@ def _field_checks(kind: type) -> list[tuple[str, Callable[[str, object], object]
     result = []
     for name, hint in get_type_hints(owner, include_extras=True).items():
         alternatives = (hint, *get_args(hint))
+        optional = type(None) in alternatives
         for alternative in alternatives:
-            annotations = getattr(alternative, "__metadata__", ())
-            optional = type(None) in alternatives
-            result += [(name, check, optional) for check in annotations if callable(check)]
+            found = getattr(alternative, "__metadata__", ())
+            if get_origin(alternative) is Literal:
+                found = (partial(choice, choices=get_args(alternative)),)
+            result += [(name, check, optional) for check in found if callable(check)]
     return result
 
 
@@ -530,3 +532,8 @@ Flag = Annotated[bool, flag]
 Quantity = Annotated[float, quantity]
 Size = Annotated[float, partial(quantity, positive=True)]
 Value = Annotated[FieldLike, function_or]
+Positive = Annotated[float, positive]
+Nonnegative = Annotated[float, nonnegative]
+Tolerance = Annotated[float, tolerance]
+Whole = Annotated[int, integer]  # >= 0
+Count = Annotated[int, partial(integer, minimum=1)]

@@ -98,6 +98,8 @@ def brief(self: DataclassInstance) -> str:
 
     Arrays are shown by their shapes, and long values are shortened; values that are made on demand
     are not made for it."""
+    if not is_dataclass(self):  # a user-defined domain need not be one
+        return object.__repr__(self)
     values = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
     defaults = [
         option.default_factory() if option.default_factory is not MISSING else option.default

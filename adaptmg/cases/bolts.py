@@ -192,7 +192,7 @@ _CLAMPED = {2: 0.0341, 3: 0.0124}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flanges:
+class Flanges(checks.Checked):
     """Dimensions of the junction, m. Heads are 1.6 times as wide and 0.7 times as high as bolts,
     holes 1.1 times.
 
@@ -202,32 +202,19 @@ class Flanges:
     12
     """
 
-    bore: float = 0.200  # inner radius of the vessels
-    wall: float = 0.012  # thickness of their walls
-    length: float = 0.120  # from the joint to the end of each pipe
-    outer: float = 0.270  # outer radius of the flanges
-    upper: float = 0.040  # thickness of the upper flange
-    lower: float = 0.050  # thickness of the lower flange
-    bolt_circle: float = 0.240  # radius on which the bolts stand
-    n_bolts: int = 16
-    diameter: float = 0.024  # of the shank of a bolt
-    seat: float = 0.020  # radial width of the heads of the equivalent ring
+    bore: checks.Positive = 0.200  # inner radius of the vessels
+    wall: checks.Positive = 0.012  # thickness of their walls
+    length: checks.Positive = 0.120  # from the joint to the end of each pipe
+    outer: checks.Positive = 0.270  # outer radius of the flanges
+    upper: checks.Positive = 0.040  # thickness of the upper flange
+    lower: checks.Positive = 0.050  # thickness of the lower flange
+    bolt_circle: checks.Positive = 0.240  # radius on which the bolts stand
+    n_bolts: checks.Count = 16
+    diameter: checks.Positive = 0.024  # of the shank of a bolt
+    seat: checks.Positive = 0.020  # radial width of the heads of the equivalent ring
 
     def __post_init__(self) -> None:
-        checks.convert(
-            self,
-            checks.positive,
-            "bore",
-            "wall",
-            "length",
-            "outer",
-            "upper",
-            "lower",
-            "bolt_circle",
-            "diameter",
-            "seat",
-        )
-        checks.integer("n_bolts", self.n_bolts, 1)
+        super().__post_init__()
         half = 0.5 * max(1.2 * self.seat, self.head_diameter)
         inner = self.bolt_circle - half
         outer = self.bolt_circle + half

@@ -38,7 +38,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import cast
+from typing import Annotated, cast
 
 import numpy as np
 
@@ -56,7 +56,7 @@ SLAVE_REACH, MASTER_REACH = 5.0, 7.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class HertzContact:
+class HertzContact(checks.Checked):
     """The closed form of Hertz: a pressure that falls like half an ellipse from the middle of
     contact.
 
@@ -67,14 +67,10 @@ class HertzContact:
     0.235
     """
 
-    load: float  # P, > 0: N/m in line contact, N in point contact
-    radius: float  # R, of the relative curvature, m, > 0
-    modulus: float  # the contact modulus E*, Pa, > 0
-    point: bool = False  # point contact, of balls; else line contact, of cylinders
-
-    def __post_init__(self) -> None:
-        checks.convert(self, checks.positive, "load", "radius", "modulus")
-        checks.flag("point", self.point)
+    load: checks.Positive  # P: N/m in line contact, N in point contact
+    radius: checks.Positive  # R, of the relative curvature, m
+    modulus: checks.Positive  # the contact modulus E*, Pa
+    point: checks.Flag = False  # point contact, of balls; else line contact, of cylinders
 
     @property
     def half_width(self) -> float:
@@ -309,7 +305,7 @@ def _on_circle(radius: float, contact: float) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartialSlip:
+class PartialSlip(checks.Checked):
     """The closed form of Cattaneo.
 
     Examples
@@ -320,14 +316,14 @@ class PartialSlip:
     0.3
     """
 
-    normal: HertzContact  # the normal contact
-    friction: float  # coefficient, > 0
-    tangential: float  # Q, N/m, 0 <= Q < friction * P
+    # the normal contact
+    normal: Annotated[HertzContact, partial(checks.instance, types=HertzContact)]
+    friction: checks.Positive  # coefficient
+    tangential: checks.Nonnegative  # Q, N/m, below friction * P
 
     def __post_init__(self) -> None:
-        checks.convert(self, checks.positive, "friction")
-        checks.convert(self, checks.nonnegative, "tangential")
-        limit = self.friction * checks.instance("normal", self.normal, HertzContact).load
+        super().__post_init__()
+        limit = self.friction * self.normal.load
         if not self.tangential < limit:
             raise ValueError(
                 f"tangential must be below friction times load = {limit:g} N/m, got {self.tangential!r}: "

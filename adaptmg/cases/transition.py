@@ -193,9 +193,12 @@ class TransitionField:
         """Return the stresses xx, yy, xy (n, 3), Pa, at points (n, 2)."""
         result = _stress(_complex(points), self.exponent, self.a, self.b)
         lame = self.material.lame
-        mu = self.material.shear_modulus
         return result + np.array(
-            [-self.pressure * lame / (lame + 2 * mu), -self.pressure, self.shear]
+            [
+                -self.pressure * lame / (lame + 2 * self.material.shear_modulus),
+                -self.pressure,
+                self.shear,
+            ]
         )
 
     def energy_error(self, result: Result, points: int = 6) -> EnergyError:

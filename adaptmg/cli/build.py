@@ -61,16 +61,27 @@ PURPOSE = {
 _DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
 #: nodes of an adaptive loop of the command line without a limit
 _NODES = 3000
-#: types of arguments that a text gives; others than these and OBJECTS are left to Python
-_PLAIN = ("str", "int", "float", "bool", "Sequence", "Literal", "FieldLike")
-#: what types are called on the command line; of other types no object is made from a text
+#: what types are called on the command line; arguments of other types are left to Python, but for OBJECTS
 _WORDS = {
     "str": "name",
+    "checks.Name": "name",
     "int": "whole number",
+    "checks.Whole": "whole number",
+    "checks.Count": "whole number",
+    "PastIterates": "whole number",
+    "Component": "whole number or name",
     "float": "number",
+    "checks.Positive": "number",
+    "checks.Nonnegative": "number",
+    "checks.Tolerance": "number",
+    "ToleranceOrName": "number or {discretisation}",
+    "Growth": "number",
+    "Omega": "number",
+    "Share": "number",
     "FieldLike": "number",
     "FieldLikeOrArray": "number",
     "bool": "{true, false}",
+    "checks.Flag": "{true, false}",
     "MeshLike": "file",
     "Sequence": "list of numbers",
 }
@@ -109,7 +120,7 @@ def _parameters(function: Maker) -> dict[str, tuple[inspect.Parameter, tuple[typ
     for name, item in inspect.signature(function).parameters.items():
         if name == "store":
             continue
-        if str(item.annotation).startswith(_PLAIN):
+        if str(item.annotation).startswith(("Literal", *_WORDS)):
             result[name] = (item, ())
         elif name in OBJECTS:
             result[name] = (item, OBJECTS[name])
@@ -206,9 +217,11 @@ def _made_with_settings(function: Maker, values: Arguments, prefix: str, what: s
             for kind in kinds
             if unknown in keys_of(kind)
         ]
-        remedy = f"; it takes {', '.join(keys_of(function))}"
-        if owners:
-            remedy = f": it belongs to {' or '.join(owners)}"
+        remedy = (
+            f": it belongs to {' or '.join(owners)}"
+            if owners
+            else f"; it takes {', '.join(keys_of(function))}"
+        )
         raise ValueError(f"{prefix}{unknown} has no meaning for {what}{remedy}")
     return function(**arguments)
 

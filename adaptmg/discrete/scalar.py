@@ -20,7 +20,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._text import brief, html_fields
+from adaptmg._text import html_fields
 from adaptmg.discrete.contact_nodes import Bounds
 from adaptmg.discrete.elasticity import shape_gradients
 from adaptmg.discrete.problem import DiscreteProblem
@@ -29,7 +29,7 @@ from adaptmg.mesh.arrays import MeshArrays, centroids
 from adaptmg.problem.plane_domains import Domain
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ScalarProblem(checks.Checked):
     """A scalar problem between obstacles, for hierarchies of meshes and :func:`adaptmg.adapt`.
 
@@ -82,7 +82,6 @@ class ScalarProblem(checks.Checked):
     pair_boundaries: ClassVar[tuple[str, ...]] = ()
     tied_boundaries: ClassVar[tuple[str, ...]] = ()
 
-    __repr__ = brief
     _repr_html_ = html_fields
 
     def __post_init__(self) -> None:

@@ -168,7 +168,6 @@ def adapt(
         rtol=tolerance_argument(rtol, solver),
         remesh_every=remesh_every,
     )
-    _check_parts(parts)
     if not isinstance(progress, bool):
         checks.optional_callable("progress", progress, "what is being done (or a bool)")
     checks.mapping("depends", {} if depends is None else depends, "names to what stands for them")
@@ -236,34 +235,6 @@ def _write_line(row: dict[str, float | str]) -> None:
     }
     if row["phase"] in texts:
         say(f"step {row['step']}: {row['nodes']} nodes, {texts[row['phase']]}")
-
-
-def _check_parts(parts: LoopParts) -> None:
-    """Raise TypeError or ValueError unless each part of the loop offers its method."""
-    checks.offers(
-        "indicator",
-        parts.indicator,
-        "indicate",
-        "Residual(), Recovery(), Goal(...) or offer indicate(hierarchy, result) -> Estimate",
-    )
-    checks.offers(
-        "mark", parts.mark, "mark", "Doerfler(...), Maximum(...) or offer mark(estimate) -> mask"
-    )
-    checks.offers(
-        "engine",
-        parts.engine,
-        "refine",
-        "Remesh(), Bisect() or offer refine(problem, mesh, estimate, marked, max_nodes) -> MeshArrays",
-    )
-    if parts.solver is not None:
-        checks.offers("solver", parts.solver, "run", "Multigrid(), ActiveSet(), ... or offer run()")
-    if parts.load_path is not None:
-        checks.instance("load_path", parts.load_path, LoadPath, "a LoadPath")
-    checks.choice("adapt_on", parts.adapt_on, ("last", "worst"))
-    if parts.remesh_every is not None:
-        checks.integer("remesh_every", parts.remesh_every, 1)
-        if parts.load_path is None or parts.adapt_on == "worst":
-            raise ValueError('remesh_every must come with a load_path, and adapt_on="last"')
 
 
 #: nodes of a loop without limits

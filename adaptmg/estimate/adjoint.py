@@ -364,9 +364,8 @@ def _rotated(
 ) -> sparse.csr_array:
     """Return Z F P (n_dofs, n_dofs coarse) of :func:`_cycle`, with sorted columns; ``nodal`` is P, and Z
     keeps the dofs of ``trial`` (n_dofs,)."""
-    n = contact.discrete.n_nodes
     dim = contact.discrete.dim
-    frames = np.broadcast_to(np.eye(dim), (n, dim, dim)).copy()
+    frames = np.broadcast_to(np.eye(dim), (contact.discrete.n_nodes, dim, dim)).copy()
     frames[contact.nodes] = contact.frames
     rotation = sparse.csr_array(block_diagonal(frames))
     keep = sparse.diags_array(trial.astype(float), format="csr")

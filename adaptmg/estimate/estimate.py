@@ -49,7 +49,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -71,8 +72,19 @@ from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result
 
 
+def _terms(name: str, value: object) -> dict[str, float]:
+    """Return the parts of the sum of squares by name, checked."""
+    words = "a mapping of names to parts of the sum of squares"
+    return {
+        checks.instance(f"the keys of {name}", key, str, "text"): checks.number(
+            f"{name}[{key!r}]", part
+        )
+        for key, part in checks.instance(name, value, Mapping, words).items()
+    }
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Estimate:
+class Estimate(checks.Checked):
     """An error estimate on the finest mesh of a hierarchy.
 
     Parameters
@@ -97,12 +109,12 @@ class Estimate:
     (5.0, 0.1)
     """
 
-    squares: np.ndarray
-    norm: float
-    indicator: str = ""
-    terms: Mapping[str, float] = field(default_factory=dict)
-    value: float | None = None
-    signed: float | None = None
+    squares: Annotated[np.ndarray, _checked_squares]
+    norm: checks.Nonnegative
+    indicator: Annotated[str, partial(checks.instance, types=str, words="text")] = ""
+    terms: Annotated[Mapping[str, float], _terms] = field(default_factory=dict)
+    value: Annotated[float, checks.number] | None = None
+    signed: Annotated[float, checks.number] | None = None
 
     if TYPE_CHECKING:
 
@@ -118,22 +130,7 @@ class Estimate:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "squares", _checked_squares("squares", self.squares))
-        object.__setattr__(self, "norm", checks.nonnegative("norm", self.norm))
-        checks.instance("indicator", self.indicator, str, "text")
-        checks.instance(
-            "terms", self.terms, Mapping, "a mapping of names to parts of the sum of squares"
-        )
-        terms = {
-            checks.instance("the keys of terms", name, str, "text"): checks.number(
-                f"terms[{name!r}]", part
-            )
-            for name, part in self.terms.items()
-        }
-        object.__setattr__(self, "terms", terms)
-        for name in ("value", "signed"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, checks.number(name, getattr(self, name)))
+        super().__post_init__()
         if (self.value is None) != (self.signed is None):
             raise ValueError("value and signed belong together: give both, or neither")
 
@@ -246,8 +243,22 @@ def marks_of(mark: Mark, estimate: Estimate) -> np.ndarray:
     return mask
 
 
+def _share(name: str, value: object) -> float:
+    """Return a share as a float; ValueError unless it is above 0 and at most 1."""
+    result = checks.number(name, value)
+    if not 0 < result <= 1:
+        raise ValueError(
+            f"{name} must be > 0 and <= 1, got {checks.shown(value)}; to refine uniformly, take "
+            "am.Doerfler(1.0), which marks all elements that have an error"
+        )
+    return result
+
+
+Share = Annotated[float, _share]
+
+
 @dataclass(frozen=True)
-class Doerfler:
+class Doerfler(checks.Checked):
     """Bulk marking: the smallest set of elements that holds the share ``theta`` of the sum of
     squares.
 
@@ -263,10 +274,7 @@ class Doerfler:
     0.3
     """
 
-    theta: float = 0.8
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "theta", _share(self.theta))
+    theta: Share = 0.8
 
     def mark(self, estimate: Estimate | np.ndarray) -> np.ndarray:
         """Return the mask (n_elements,) of the marked elements of an estimate or of its squares
@@ -287,7 +295,7 @@ class Doerfler:
 
 
 @dataclass(frozen=True)
-class Maximum:
+class Maximum(checks.Checked):
     """The elements whose square is at least the share ``theta`` of the largest; larger marks less.
 
     Parameters
@@ -301,27 +309,13 @@ class Maximum:
     0.5
     """
 
-    theta: float = 0.5
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "theta", _share(self.theta))
+    theta: Share = 0.5
 
     def mark(self, estimate: Estimate | np.ndarray) -> np.ndarray:
         """Return the mask (n_elements,) of the marked elements of an estimate or of its squares
         (n_elements,)."""
         squares = _squares(estimate)
         return (squares >= self.theta * squares.max()) & (squares > 0)
-
-
-def _share(theta: float) -> float:
-    """Return ``theta`` as a float; ValueError unless it is above 0 and at most 1."""
-    result = checks.number("theta", theta)
-    if not 0 < result <= 1:
-        raise ValueError(
-            f"theta must be > 0 and <= 1, got {checks.shown(theta)}; to refine uniformly, take "
-            "am.Doerfler(1.0), which marks all elements that have an error"
-        )
-    return result
 
 
 def _squares(estimate: Estimate | np.ndarray) -> np.ndarray:
@@ -440,7 +434,6 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
     the error of the mesh."""
     mesh = state.mesh
     contact = state.result.contact
-    neighbours = state.neighbours
     complementarity, friction = np.zeros((2, len(mesh.elements)))
     opens = contact.state == State.OPEN
     pressures = contact.pressure  # 0 at open nodes
@@ -454,7 +447,7 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         index = np.full(mesh.n_nodes, len(rows))
         index[contact.node[rows]] = np.arange(len(rows))
         pressure, gap, limit, traction, slip = (
-            _padded(values[rows])[index[surface.facets]]
+            np.concatenate([values[rows], np.zeros((1, *values.shape[1:]))])[index[surface.facets]]
             for values in (pressures, gaps, limits, tractions, slips)
         )
         rule, _, weights = integration(
@@ -465,7 +458,7 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         open_part = np.einsum("fij,fi,fj->f", mass, pressure, gap)
         slip_part = np.einsum("fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2))
         slip_part += np.einsum("fij,fid,fjd->f", mass, traction, slip)
-        elements = neighbours.owner[mesh.facet_labels == mesh.boundaries.index(name)]
+        elements = state.neighbours.owner[mesh.facet_labels == mesh.boundaries.index(name)]
         complementarity += np.bincount(elements, weights=open_part, minlength=len(complementarity))
         # the limit times |d| plus t . d is >= 0, as |t| is at most the limit; rounding may make it negative
         friction += np.bincount(
@@ -490,11 +483,6 @@ def _friction(state: Solved, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     at_limit = np.divide(limit, size, out=np.zeros_like(size), where=size > 0)
     factor = np.where(moves, at_limit, np.minimum(at_limit, 1.0)) / contact.weights
     return limit / contact.weights, from_frames(contact.frames[:, 1:], factor[:, None] * direction)
-
-
-def _padded(values: np.ndarray) -> np.ndarray:
-    """Return values (n, ...) with a zero appended."""
-    return np.concatenate([values, np.zeros((1, *values.shape[1:]))])
 
 
 def jump_squares(state: Solved) -> np.ndarray:

@@ -316,8 +316,9 @@ class HalvedError:
         if not dual.field.any() and coarse.vector[~self.view.discrete.fixed].any():
             # the contact state does not let the quantity change, but a finer mesh may have another state
             parts = self._energy_parts(coarse)
-        dim = contact.discrete.dim
-        nodal = np.bincount(self.new // dim, parts, minlength=contact.discrete.n_nodes)
+        nodal = np.bincount(
+            self.new // contact.discrete.dim, parts, minlength=contact.discrete.n_nodes
+        )
         return signed, nodal + abs(geometry) * self._chord_shares(finer)
 
     def _energy_parts(self, functional: Functional) -> np.ndarray:

@@ -27,8 +27,9 @@ import hashlib
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Generic, cast
+from typing import TYPE_CHECKING, Annotated, Any, Generic, Literal, cast
 
 import numpy as np
 
@@ -68,25 +69,18 @@ Progress = Callable[[dict[str, float | str]], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class Limits(checks.Checked):
     """The limits at which the loop ends; at least one is given."""
 
-    tolerance: float | None = None  # for the relative estimate
-    max_nodes: int | None = None
-    max_seconds: float | None = None
+    tolerance: checks.Tolerance | None = None  # for the relative estimate
+    max_nodes: checks.Count | None = None
+    max_seconds: checks.Positive | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.tolerance is None and self.max_nodes is None and self.max_seconds is None:
             raise ValueError(
                 "give at least one of tolerance, max_nodes and max_seconds: the loop would never end"
-            )
-        if self.tolerance is not None:
-            object.__setattr__(self, "tolerance", checks.tolerance("tolerance", self.tolerance))
-        if self.max_nodes is not None:
-            checks.integer("max_nodes", self.max_nodes, 1)
-        if self.max_seconds is not None:
-            object.__setattr__(
-                self, "max_seconds", checks.positive("max_seconds", self.max_seconds)
             )
 
 
@@ -225,9 +219,11 @@ def _values_and_errors(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
 def _is_exact(estimate: Estimate) -> bool:
     """Return whether an estimate is rounding."""
     # solutions that are linear: solves to RTOL leave 6e-13 of the square of the norm in patch tests
-    rounding = (checks.SIX_DIGITS * estimate.norm) ** 2
-    if estimate.value is not None:
-        rounding = checks.ROUNDING * abs(estimate.value)
+    rounding = (
+        (checks.SIX_DIGITS * estimate.norm) ** 2
+        if estimate.value is None
+        else checks.ROUNDING * abs(estimate.value)
+    )
     return bool(estimate.squares.sum() <= rounding)
 
 
@@ -258,18 +254,45 @@ class StoredStep:
         )
 
 
+_offers_indicate = partial(
+    checks.offers,
+    method="indicate",
+    words="Residual(), Recovery(), Goal(...) or offer indicate(hierarchy, result) -> Estimate",
+)
+_offers_mark = partial(
+    checks.offers,
+    method="mark",
+    words="Doerfler(...), Maximum(...) or offer mark(estimate) -> mask",
+)
+_offers_refine = partial(
+    checks.offers,
+    method="refine",
+    words="Remesh(), Bisect() or offer refine(problem, mesh, estimate, marked, max_nodes) -> MeshArrays",
+)
+_offers_run = partial(
+    checks.offers, method="run", words="Multigrid(), ActiveSet(), ... or offer run()"
+)
+
+
 @dataclass(frozen=True)
-class LoopParts:
+class LoopParts(checks.Checked):
     """The parts of a loop; :func:`adaptmg.adapt` says what each is."""
 
-    indicator: Indicator
-    mark: Mark
-    engine: Engine
-    solver: Solver | None = None
-    load_path: LoadPath | None = None
-    adapt_on: str = "last"
+    indicator: Annotated[Indicator, _offers_indicate]
+    mark: Annotated[Mark, _offers_mark]
+    engine: Annotated[Engine, _offers_refine]
+    solver: Annotated[Solver, _offers_run] | None = None
+    load_path: (
+        Annotated[LoadPath, partial(checks.instance, types=LoadPath, words="a LoadPath")] | None
+    ) = None
+    adapt_on: Literal["last", "worst"] = "last"
     rtol: float | None = None
-    remesh_every: int | None = None
+    remesh_every: checks.Count | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.remesh_every is not None and (self.load_path is None or self.adapt_on == "worst"):
+            raise ValueError('remesh_every must come with a load_path, and adapt_on="last"')
 
     def path_of(self, number: int) -> LoadPath:
         """Return the load steps that mesh ``number`` takes: all, or those after the last one of the

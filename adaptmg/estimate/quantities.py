@@ -15,12 +15,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, cast
+from typing import Annotated, Protocol, cast
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._text import brief
 from adaptmg.discrete.contact_nodes import ContactNodes
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.discretise import discretise
@@ -189,8 +188,17 @@ def _axis(name: str, value: int | str, dim: int | None = None, others: str = "")
     return number
 
 
-@dataclass(frozen=True)
-class Displacement:
+def _component(name: str, value: int | str) -> int | str:
+    """Return a component unchanged; see :func:`_axis`."""
+    _axis(name, value)
+    return value
+
+
+Component = Annotated[int | str, _component]
+
+
+@dataclass(frozen=True, repr=False)
+class Displacement(checks.Checked):
     """A component of the displacement at one point or several; each point is a separate quantity.
 
     Parameters
@@ -208,12 +216,11 @@ class Displacement:
     """
 
     points: Sequence[float] | Sequence[Sequence[float]]
-    component: int | str
-    body: str | None = None
-
-    __repr__ = brief
+    component: Component
+    body: checks.Name | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         try:
             shape = np.shape(self.points)
         except ValueError:
@@ -231,9 +238,6 @@ class Displacement:
         object.__setattr__(
             self, "points", tuple(tuple(float(c) for c in point) for point in points)
         )
-        _axis("component", self.component)
-        if self.body is not None:
-            checks.boundary_name("body", self.body)
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the displacement component at each point, one functional a point."""
@@ -270,7 +274,7 @@ def _place(point: Sequence[float]) -> str:
 
 
 @dataclass(frozen=True)
-class MeanDisplacement:
+class MeanDisplacement(checks.Checked):
     """The mean of a component of the displacement over a boundary (axisymmetric: weighted with the
     radius).
 
@@ -285,12 +289,8 @@ class MeanDisplacement:
     'top'
     """
 
-    boundary: str
-    component: int | str
-
-    def __post_init__(self) -> None:
-        checks.boundary_name("boundary", self.boundary)
-        _axis("component", self.component)
+    boundary: checks.Name
+    component: Component
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the mean displacement over the boundary, as one functional."""
@@ -399,7 +399,7 @@ class ContactForce:
 
 
 @dataclass(frozen=True)
-class PeakPressure:
+class PeakPressure(checks.Checked):
     r"""The largest contact pressure, smoothed: a quantity needs a derivative.
 
     With the nodal pressures p_i, their weights w_i and a power q it is
@@ -420,12 +420,8 @@ class PeakPressure:
     8
     """
 
-    boundary: str = "contact"
-    power: int = 8
-
-    def __post_init__(self) -> None:
-        checks.boundary_name("boundary", self.boundary)
-        checks.integer("power", self.power, 1)
+    boundary: checks.Name = "contact"
+    power: checks.Count = 8
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the smoothed peak of the pressure on the boundary, as one functional."""
@@ -458,7 +454,7 @@ class PeakPressure:
 
 
 @dataclass(frozen=True)
-class Dissipation:
+class Dissipation(checks.Checked):
     """The energy that friction dissipates on a contact boundary in the (last) step of loading:
     minus the tangential forces on the body times the slips.
 
@@ -473,10 +469,7 @@ class Dissipation:
     'contact'
     """
 
-    boundary: str = "contact"
-
-    def __post_init__(self) -> None:
-        checks.boundary_name("boundary", self.boundary)
+    boundary: checks.Name = "contact"
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the energy that friction dissipates on the boundary, as one functional."""

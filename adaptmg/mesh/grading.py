@@ -170,7 +170,7 @@ def graded(
         size,
         names if ratio > 1 else (),
         size / ratio,
-        growth(grading),
+        growth("grading", grading),
         checks.choice("mesher", mesher, MESHERS),
         checks.optional_callable("size_function", size_function, "points (n, dim)"),
     )
@@ -347,7 +347,7 @@ def sized_by(
     function = of_one_body("size_function", size_function)
     largest = checks.positive("max_size", max_size)
     mesher = checks.choice("mesher", mesher, MESHERS)
-    grading = growth(grading)
+    grading = growth("grading", grading)
     solid = SolidSizes(largest, grading=grading, function=function)
     if isinstance(shape, SolidDomain) or (isinstance(shape, Box) and mesher == "netgen"):
         return solid_mesh(shape, solid, mesher)

@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._text import brief
 from adaptmg.mesh.arrays import (
     MeshArrays,
     Surface,
@@ -112,11 +112,11 @@ def boundary_measures(domain: Outline | Box) -> tuple[float, dict[str, float]]:
     return domain.area, result
 
 
-def growth(value: object) -> float:
+def growth(name: str, value: object) -> float:
     """Return a checked grading."""
-    grading = checks.positive("grading", value)
+    grading = checks.positive(name, value)
     if not grading <= 1:
-        raise ValueError(f"grading must be at most 1, got {value!r}")
+        raise ValueError(f"{name} must be at most 1, got {value!r}")
     return grading
 
 
@@ -132,8 +132,20 @@ def sizes_at(function: float | SizeField, points: np.ndarray) -> np.ndarray:
     return values
 
 
-@dataclass(frozen=True)
-class SizeNear:
+def _points(name: str, value: object) -> tuple[tuple[float, ...], ...]:
+    """Return one point or several, all of the same dimension."""
+    given = checks.listed(name, value, "points")
+    points = tuple(tuple(checks.vector(name, point).tolist()) for point in given)
+    if not points or len(set(map(len, points))) > 1:
+        raise ValueError(
+            f"{name} must be at least one point, all of the same dimension, "
+            f"got {checks.shown(given)}"
+        )
+    return points
+
+
+@dataclass(frozen=True, repr=False)
+class SizeNear(checks.Checked):
     """A size function for :func:`adaptmg.mesh.sized`: small near some points, such as where balls
     first touch.
 
@@ -157,26 +169,11 @@ class SizeNear:
     0.001
     """
 
-    points: Sequence[Sequence[float]]
+    points: Annotated[Sequence[Sequence[float]], _points]
     _: KW_ONLY
-    size: float
-    radius: float = 0.0
-    grading: float = GRADING
-
-    __repr__ = brief
-
-    def __post_init__(self) -> None:
-        given = checks.listed("points", self.points, "points")
-        points = tuple(tuple(checks.vector("points", p).tolist()) for p in given)
-        if not points or len({len(p) for p in points}) > 1:
-            raise ValueError(
-                f"points must be at least one point, all of the same dimension, "
-                f"got {checks.shown(given)}"
-            )
-        object.__setattr__(self, "points", points)
-        object.__setattr__(self, "size", checks.quantity("size", self.size, positive=True))
-        object.__setattr__(self, "radius", checks.nonnegative("radius", self.radius))
-        object.__setattr__(self, "grading", growth(self.grading))
+    size: checks.Size
+    radius: checks.Nonnegative = 0.0
+    grading: Annotated[float, growth] = GRADING
 
     def scaled(self, factor: float) -> SizeNear:
         """Return the size function times a factor everywhere, for another level of a family whose

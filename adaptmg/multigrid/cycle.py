@@ -36,7 +36,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.grids import Grids
 from adaptmg.smoother.factorisation import Condensed
-from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
+from adaptmg.smoother.gauss_seidel import Omega, ProjectedGaussSeidel, Smoother
 from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact
 from adaptmg.transfer.contact import (
     Supports,
@@ -341,10 +341,7 @@ class Monotone:
     'CONVERGED'
     """
 
-    @property
-    def needs_initial(self) -> bool:
-        """Return False."""
-        return False
+    needs_initial = False
 
     def transport(
         self,
@@ -364,7 +361,7 @@ class Monotone:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PaperCorrection:
+class PaperCorrection(checks.Checked):
     """The correction of the paper (steps a-g), its choices selectable.
 
     Read literally its coarse gap (the smallest u_n, which is <= 0) is the largest opening, and
@@ -398,11 +395,6 @@ class PaperCorrection:
     slip: Literal["initial", "injected", "minmod"] = "initial"
     limit: Literal["initial", "injected", "summed"] = "initial"
 
-    def __post_init__(self) -> None:
-        checks.choice("gap", self.gap, ("smallest", "largest", "injected"))
-        checks.choice("slip", self.slip, ("initial", "injected", "minmod"))
-        checks.choice("limit", self.limit, ("initial", "injected", "summed"))
-
     @property
     def needs_initial(self) -> bool:
         return "initial" in (self.slip, self.limit)
@@ -433,7 +425,7 @@ class PaperCorrection:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cycle:
+class Cycle(checks.Checked):
     """Shape of a cycle.
 
     Parameters
@@ -451,13 +443,11 @@ class Cycle:
     """
 
     shape: Literal["V", "W", "F", "complete"] = "V"
-    pre: int = 2
-    post: int = 0
+    pre: checks.Whole = 2
+    post: checks.Whole = 0
 
     def __post_init__(self) -> None:
-        checks.choice("shape", self.shape, ("V", "W", "F", "complete"))
-        checks.integer("pre", self.pre)
-        checks.integer("post", self.post)
+        super().__post_init__()
         if self.pre + self.post == 0:
             raise ValueError(
                 "pre and post must not both be 0: without smoothing the cycle does not converge"
@@ -584,7 +574,7 @@ class MultigridCycle:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CoarseSolve:
+class CoarseSolve(checks.Checked):
     """Sweeps of projected Gauss-Seidel (SOR) to a tolerance.
 
     Parameters
@@ -610,31 +600,26 @@ class CoarseSolve:
     0.001
     """
 
-    condensed: bool = True
-    rtol: float = 1e-2
-    atol: float = 0.0
-    test: str = "error"
-    omega: float = 1.5
-    max_sweeps: int = 2000
+    condensed: checks.Flag = True
+    rtol: checks.Nonnegative = 1e-2
+    atol: checks.Nonnegative = 0.0
+    test: Literal["error", "change"] = "error"
+    omega: Omega = 1.5
+    max_sweeps: checks.Count = 2000
 
     #: sweeps between tests of the error
     BATCH = 4
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rtol", checks.nonnegative("rtol", self.rtol))
-        object.__setattr__(self, "atol", checks.nonnegative("atol", self.atol))
+        super().__post_init__()
         if not self.rtol < 1:
             raise ValueError(
                 f"rtol must be < 1, a share of the solution, got {checks.shown(self.rtol)}"
             )
-        checks.flag("condensed", self.condensed)
         if self.rtol == 0 and self.atol == 0:
             raise ValueError("rtol and atol must not both be 0")
-        checks.choice("test", self.test, ("error", "change"))
         if self.atol > 0 and self.test == "error":
             raise ValueError("atol is for test='change'; give rtol with test='error'")
-        ProjectedGaussSeidel(omega=self.omega)  # which checks omega
-        checks.integer("max_sweeps", self.max_sweeps, 1)
 
     def solve(
         self,
@@ -685,7 +670,7 @@ class CoarseSolve:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NestedStart:
+class NestedStart(checks.Checked):
     """The solves on the levels below the finest, before it.
 
     Parameters
@@ -703,12 +688,8 @@ class NestedStart:
 
     #: between bodies two cycles, where the next level has three times the nodes, save nothing: of 40 random problems
     #: at 1e-3 and 1e-6 417 cycles for 417, 1588 passes for 1572
-    cycles: int = 1
-    rtol: float = 1e-8
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "cycles", checks.integer("cycles", self.cycles, 1))
-        object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
+    cycles: checks.Count = 1
+    rtol: checks.Tolerance = 1e-8
 
 
 def project(local: LocalProblem, unknowns: np.ndarray) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, cast
+from typing import Any, Literal, Protocol, cast
 
 import numpy as np
 from scipy import linalg, sparse
@@ -132,17 +132,22 @@ class LinearLevel:
         over the matrix."""
         matrix = self.matrix
         u = self.solution
-        rest = self.rest
         if self.smoother is not None:
             return self.smoother.smooth(load, u)
         for _ in range(sweeps // 2):
             self._forward(load)
             self._backward()
         if sweeps % 2 == 1:
-            lower = matrix.lower_arrays
-            upper = matrix.upper_arrays
             matrix.sweep(
-                gauss_seidel, True, *upper, *lower, matrix.inverse, load, u, rest, backward=True
+                gauss_seidel,
+                True,
+                *matrix.upper_arrays,
+                *matrix.lower_arrays,
+                matrix.inverse,
+                load,
+                u,
+                self.rest,
+                backward=True,
             )
         # a forward sweep reads L and U, the backward one after it U alone, a single one both
         return 1.5 * (sweeps // 2) + sweeps % 2
@@ -463,7 +468,7 @@ class LinearCorrection(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PyAMG:
+class PyAMG(checks.Checked):
     """Cycles of pyamg on the truncated coarse problems, ``am.Truncated(correct=am.PyAMG())``.
 
     Parameters
@@ -488,14 +493,9 @@ class PyAMG:
     'CONVERGED'
     """
 
-    cycle: str = "V"
-    smoother: str = "gauss_seidel"
-    cycles: int = 1
-
-    def __post_init__(self) -> None:
-        checks.choice("cycle", self.cycle, ("V", "W", "F", "AMLI"))
-        checks.choice("smoother", self.smoother, ("gauss_seidel", "block_gauss_seidel", "sor"))
-        checks.integer("cycles", self.cycles, 1)
+    cycle: Literal["V", "W", "F", "AMLI"] = "V"
+    smoother: Literal["gauss_seidel", "block_gauss_seidel", "sor"] = "gauss_seidel"
+    cycles: checks.Count = 1
 
     def setup(
         self, matrices: list[sparse.csr_array], prolongations: list[sparse.csr_array]

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from functools import partial
+from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 
@@ -50,24 +51,28 @@ class Projection(Protocol):
         ...
 
 
-#: options that may be user-defined, the method that they offer, and what they must be
-_USER_DEFINED = (
-    ("project", "project", "None or offer project(contact, before, after) -> values"),
-    (
-        "coarse_solve",
-        "setup",
-        "a linear solver, which offers setup(matrix) -> object with solve(rhs) -> solution",
-    ),
-    (
-        "coarse_smoother",
-        "setup",
-        "a linear smoother, which offers setup(matrix) -> object with smooth(rhs, x) -> passes",
-    ),
+#: number of past iterates that are recombined
+PastIterates = Annotated[int, partial(checks.integer, maximum=4)]
+#: checks of options that may be user-defined
+_offers_projection = partial(
+    checks.offers,
+    method="project",
+    words="None or offer project(contact, before, after) -> values",
+)
+_offers_coarse_solve = partial(
+    checks.offers,
+    method="setup",
+    words="a linear solver, which offers setup(matrix) -> object with solve(rhs) -> solution",
+)
+_offers_coarse_smoother = partial(
+    checks.offers,
+    method="setup",
+    words="a linear smoother, which offers setup(matrix) -> object with smooth(rhs, x) -> passes",
 )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Truncated:
+class Truncated(checks.Checked):
     """Truncated nonsmooth Newton multigrid: the fast method.
 
     One symmetric sweep on the finest level, and after the first cycle one on the next coarser
@@ -130,21 +135,20 @@ class Truncated:
     #: constants)
     DENSE: ClassVar[float] = 1.25
     smooth: int | Smoother = 1
-    recombine: int = 4
-    coarse_solve: LinearSolve | None = None
-    coarse_smoother: LinearSmoother | None = None
+    recombine: PastIterates = 4
+    coarse_solve: Annotated[LinearSolve, _offers_coarse_solve] | None = None
+    coarse_smoother: Annotated[LinearSmoother, _offers_coarse_smoother] | None = None
     correct: Cycle | LinearCorrection | None = None
-    project: Projection | None = None
-    coarse_contact: bool = True
-    rigid_motions: bool = True
-    search: bool = True
-    interface_sweeps: int = 2
+    project: Annotated[Projection, _offers_projection] | None = None
+    coarse_contact: checks.Flag = True
+    rigid_motions: checks.Flag = True
+    search: checks.Flag = True
+    interface_sweeps: checks.Whole = 2
 
     def __post_init__(self) -> None:
-        checks.convert(self, checks.flag, "coarse_contact", "rigid_motions", "search")
-        checks.integer("interface_sweeps", self.interface_sweeps)
+        super().__post_init__()
         if isinstance(self.smooth, (int, np.integer)):
-            checks.convert(self, checks.integer, "smooth", minimum=1)
+            object.__setattr__(self, "smooth", checks.integer("smooth", self.smooth, 1))
         else:
             words = "a number of sweeps or offer smooth(system, contact, load, unknowns, sweeps)"
             checks.offers("smooth", self.smooth, "smooth", words)
@@ -160,11 +164,6 @@ class Truncated:
                         f"{name} must be None with correct={checks.shown(self.correct)}, which "
                         "solves all coarse problems itself"
                     )
-        if checks.integer("recombine", self.recombine) > 4:
-            raise ValueError(f"recombine must be 0 to 4, got {self.recombine!r}")
-        for name, method, words in _USER_DEFINED:
-            if getattr(self, name) is not None:
-                checks.offers(name, getattr(self, name), method, words)
 
     def sweeps(self, levels: Sequence[SplitMatrix]) -> list[int]:
         """Return the sweeps on each of the levels, coarsest first."""

@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
-from adaptmg._text import brief
 from adaptmg.problem.plane_domains import (
     BOX_SIDES,
     Box,
@@ -59,7 +58,7 @@ def _part(name: str, value: Domain) -> Domain:
 Part = Annotated[SolidDomain | Box | Rectangle | Outline | Circle, _part]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Combination(SolidDomain):
     """Two solids, or two plane domains, combined: the base class of :class:`Cut`, :class:`Fuse` and
     :class:`Common`.
@@ -81,7 +80,7 @@ class Combination(SolidDomain):
         default_factory=dict, hash=False
     )
 
-    __repr__ = brief
+    loose_box = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -117,11 +116,6 @@ class Combination(SolidDomain):
             for part, outline in (("a", self.a.outline), ("b", self.b.outline))
         ]
         return combined(type(self).__name__, *parts)
-
-    @property
-    def loose_box(self) -> bool:
-        """Return True: the body may end before the sides of its box."""
-        return True
 
     def renamed(self, part: str, name: str) -> str:
         """Return the name in the result of the boundary ``name`` of ``part``, "a" or "b"."""
@@ -329,7 +323,7 @@ def _loop_area(loop: list[_Piece], points: list[np.ndarray]) -> float:
     return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Slit(Outline):
     """An outline whose last holes have no width: along the left face of each crack, and back along
     the right one."""
@@ -337,14 +331,13 @@ class Slit(Outline):
     #: edge of a right face -> edge of the left face at the same place
     twins: Mapping[int, int] | None = None
 
-    __repr__ = brief
     __hash__ = Outline.__hash__
 
     def __post_init__(self) -> None:
         """Check nothing: a slit is made of parts that have been checked."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Cracked(SolidDomain):
     """A body with cracks.
 
@@ -370,7 +363,6 @@ class Cracked(SolidDomain):
     domain: Part
     cracks: Mapping[str, Path]
 
-    __repr__ = brief
     if TYPE_CHECKING:
 
         def __init__(self, domain: Domain, cracks: Mapping[str, ArrayLike]) -> None: ...
@@ -547,7 +539,7 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
     check_simple(edges, names, np.array(starts), np.array(ends), "cracks")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Assembly(Domain):
     """Bodies that share no nodes; they may touch, or even overlap (a ring of bolts in an
     axisymmetric model does).
@@ -565,8 +557,6 @@ class Assembly(Domain):
     """
 
     parts: Annotated[Mapping[str, Domain], partial(checks.mapping, words="body names to domains")]
-
-    __repr__ = brief
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -11,7 +11,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._checks import Flag, Name
-from adaptmg._text import brief, html_fields
+from adaptmg._text import html_fields
 from adaptmg.problem.laws import (
     EDGE_PART,
     Axisymmetric,
@@ -119,7 +119,7 @@ def _materials(
     return material
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ContactProblem(checks.Checked):
     """Bodies in contact: pure data in SI units (m, N, Pa), without a mesh.
 
@@ -201,7 +201,6 @@ class ContactProblem(checks.Checked):
             reference: Mapping[str, Any] = ...,
         ) -> None: ...
 
-    __repr__ = brief
     _repr_html_ = html_fields
 
     def __post_init__(self) -> None:

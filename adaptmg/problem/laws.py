@@ -571,7 +571,7 @@ class Frictionless:
         return np.zeros(n_contact), np.zeros(n_contact)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Tresca(checks.Checked):
     """Tresca friction: ``|f_t| <= limit``, independent of the pressure.
 
@@ -596,7 +596,6 @@ class Tresca(checks.Checked):
 
     limit: FieldLikeOrArray
 
-    __repr__ = brief
     _repr_html_ = html_fields
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Tresca:
@@ -607,7 +606,7 @@ class Tresca(checks.Checked):
         return _nodal("limit", self.limit, n_contact), np.zeros(n_contact)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Coulomb(checks.Checked):
     """Coulomb friction: ``|f_t| <= friction * p``.
 
@@ -626,7 +625,6 @@ class Coulomb(checks.Checked):
 
     friction: FieldLikeOrArray
 
-    __repr__ = brief
     _repr_html_ = html_fields
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Coulomb:
@@ -656,7 +654,7 @@ def _state_function(name: str, value: object) -> object:
     return value
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StateLaw(checks.Checked):
     """Friction whose coefficient depends on pressure and slip: ``|f_t| <= friction(p, slip) * p``.
 
@@ -688,7 +686,6 @@ class StateLaw(checks.Checked):
 
     friction: Annotated[Callable[[np.ndarray, np.ndarray], ArrayLike], _state_function]
 
-    __repr__ = brief
     _repr_html_ = html_fields
 
     def __post_init__(self) -> None:
@@ -729,7 +726,7 @@ def _exponent(name: str, value: object) -> float:
     return exponent
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NormalCompliance(checks.Checked):
     """Give a contact boundary a layer that yields to the pressure: a rough surface.
 
@@ -767,7 +764,6 @@ class NormalCompliance(checks.Checked):
     compliance: Annotated[FieldLike, partial(checks.function_or, check=checks.nonnegative)]
     exponent: Annotated[float, _exponent] = 1.0
 
-    __repr__ = brief
     _repr_html_ = html_fields
 
     def at_points(self, points: np.ndarray) -> np.ndarray:

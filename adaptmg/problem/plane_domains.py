@@ -17,7 +17,6 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._checks import Name, Size
-from adaptmg._text import brief
 from adaptmg.problem.plane_edges import Arc, Segment, check_simple
 
 _CHORD = math.radians(3.0)
@@ -42,14 +41,12 @@ class Domain(checks.Checked):
 
     dim: int
     boundaries: tuple[str, ...] | None
+    bodies: tuple[str, ...] | None = ("body",)
     outline: Outline  # of plane domains only
+    #: whether the domain may be a part of the box that ends before its sides
+    loose_box: bool = False
     #: points (n, dim), m, whose bounding box contains the domain
     _extremes: Callable[[], np.ndarray]
-
-    @property
-    def bodies(self) -> tuple[str, ...] | None:
-        """Return the names of the bodies."""
-        return ("body",)
 
     @property
     def lower(self) -> np.ndarray:
@@ -60,11 +57,6 @@ class Domain(checks.Checked):
     def upper(self) -> np.ndarray:
         """Return the highest corner (dim,) of a box around the domain, m."""
         return self._extremes().max(axis=0)
-
-    @property
-    def loose_box(self) -> bool:
-        """Return whether the domain may be a part of the box that ends before its sides."""
-        return False
 
 
 @overload
@@ -178,7 +170,7 @@ def _holes(name: str, value: object) -> tuple[int, ...]:
     return tuple(checks.integer(name, i) for i in checks.listed(name, value, "vertex numbers"))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Outline(Domain):
     """A plane domain like :class:`Polygon`, some of whose edges are circular arcs; it may have
     holes.
@@ -215,8 +207,6 @@ class Outline(Domain):
     holes: Annotated[tuple[int, ...], _holes] = ()
     dim: ClassVar[int] = 2
     twins: ClassVar[Mapping[int, int]] = {}  # of cracks, see Slit
-
-    __repr__ = brief
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -385,7 +375,7 @@ class Outline(Domain):
         return np.concatenate(points)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Polygon(Outline):
     """A simple polygon.
 
@@ -404,7 +394,6 @@ class Polygon(Outline):
     arcs: Mapping[int, tuple[float, float]] = field(default_factory=dict, init=False, repr=False)
     holes: tuple[int, ...] = field(default=(), init=False, repr=False)
 
-    __repr__ = brief
     __hash__ = Outline.__hash__
 
 

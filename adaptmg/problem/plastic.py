@@ -34,7 +34,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._checks import Size
-from adaptmg._text import brief, html_fields
+from adaptmg._text import html_fields
 from adaptmg.problem.laws import Elastic, PlaneStress
 
 #: of three shear moduli: hardening that a tangent has at least; without any the diagonal block of a node whose
@@ -80,7 +80,7 @@ def _hardening(name: str, value: float | Sequence[Sequence[float]]) -> float | t
     return tuple(map(tuple, table.tolist()))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Plastic(checks.Checked):
     """A material that yields under the von Mises stress, with isotropic and kinematic hardening.
 
@@ -116,7 +116,6 @@ class Plastic(checks.Checked):
     hardening: Annotated[float | Sequence[Sequence[float]], _hardening] = 0.0
     kinematic: Annotated[float, checks.nonnegative] = 0.0
 
-    __repr__ = brief
     _repr_html_ = html_fields
 
     def __post_init__(self) -> None:

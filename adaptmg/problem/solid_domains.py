@@ -16,7 +16,6 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._checks import Quantity, Size
-from adaptmg._text import brief
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Triple
 
 _ON_AXIS = checks.ROUNDING  # of the profile: vertices nearer to the axis of revolution lie on it
@@ -108,7 +107,7 @@ class Ball(SolidDomain):
         return np.array([[-self.radius], [self.radius]]) + self.centre
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Revolution(SolidDomain):
     """A plane profile turned about the z axis, from the plane y = 0 towards +y.
 
@@ -131,8 +130,6 @@ class Revolution(SolidDomain):
 
     polygon: Profile
     angle: Annotated[float, checks.positive] = 360.0
-
-    __repr__ = brief
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -176,7 +173,7 @@ class Revolution(SolidDomain):
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Extrusion(SolidDomain):
     """A plane profile in (x, y), extruded along z; boundaries are its edges, ``bottom`` and
     ``top``.
@@ -201,8 +198,6 @@ class Extrusion(SolidDomain):
     height: Size
     base: Quantity = 0.0
 
-    __repr__ = brief
-
     def __post_init__(self) -> None:
         super().__post_init__()
         if {"bottom", "top"} & set(self.polygon.boundaries):
@@ -224,7 +219,7 @@ class Extrusion(SolidDomain):
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Moved(SolidDomain):
     """A solid that is first rotated about an axis through the origin, then moved; boundaries keep
     their names.
@@ -251,8 +246,7 @@ class Moved(SolidDomain):
     offset: Triple = (0.0, 0.0, 0.0)
     angle: Quantity = 0.0
     axis: Direction = (0.0, 0.0, 1.0)
-
-    __repr__ = brief
+    loose_box = True  # it contains the turned corners of the box of the solid
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -271,11 +265,6 @@ class Moved(SolidDomain):
         turn = math.radians(self.angle)
         cross = np.cross(np.eye(3), self.axis)
         return np.eye(3) + math.sin(turn) * cross + (1 - math.cos(turn)) * cross @ cross
-
-    @property
-    def loose_box(self) -> bool:
-        """Return True: the box contains the turned corners of the box of the solid."""
-        return True
 
     def _extremes(self) -> np.ndarray:
         ends = np.stack([self.solid.lower, self.solid.upper])

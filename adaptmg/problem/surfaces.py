@@ -25,7 +25,6 @@ from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
 from adaptmg._checks import Flag, Name, Size, Value
-from adaptmg._text import brief
 from adaptmg.problem.laws import Law, NormalCompliance, law_of_position
 from adaptmg.problem.loads import Acting, Point, point, times
 
@@ -49,7 +48,7 @@ AnyObstacle = Annotated[
 ]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Plane(checks.Checked):
     """A rigid plane.
 
@@ -73,14 +72,13 @@ class Plane(checks.Checked):
     point: Coordinates
     normal: np.ndarray
 
-    __repr__ = brief
     if TYPE_CHECKING:
 
         def __init__(self, point: ArrayLike, normal: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checks.convert(self, checks.direction, "normal", n=self.dim)
+        object.__setattr__(self, "normal", checks.direction("normal", self.normal, self.dim))
 
     @property
     def dim(self) -> int:
@@ -165,7 +163,7 @@ class _MovingPart(Acting):
         return checks.instance("about", self.about, np.ndarray)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Moving(_MovingPart):
     """An obstacle with a prescribed motion.
 
@@ -204,7 +202,6 @@ class Moving(_MovingPart):
     name: Name = "obstacle"
     _amounts = ("displacement", "rotation")
 
-    __repr__ = brief
     if TYPE_CHECKING:
 
         def __init__(
@@ -301,7 +298,7 @@ def _forces(name: str, values: object) -> Force | dict[str, Force]:
     return forces
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Rigid(_MovingPart):
     """A rigid obstacle that moves until it transmits a force and a moment.
 
@@ -342,7 +339,6 @@ class Rigid(_MovingPart):
     name: Name = "obstacle"
     _amounts = ("force", "moment")
 
-    __repr__ = brief
     if TYPE_CHECKING:
 
         def __init__(

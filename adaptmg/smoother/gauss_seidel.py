@@ -17,7 +17,7 @@ sweeps may then cycle (from omega = 1.65 on)."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 
@@ -39,6 +39,8 @@ from adaptmg.smoother.blocks import (
 from adaptmg.smoother.node_solve import read_reference, solve
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
+#: relaxation factor of sweeps
+Omega = Annotated[float, checks.number_that("in (0, 2)", lambda x: 0 < x < 2)]
 _DIRECTIONS = {"forward": (1,), "backward": (-1,), "symmetric": (1, -1)}
 
 
@@ -59,7 +61,7 @@ class Smoother(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProjectedGaussSeidel:
+class ProjectedGaussSeidel(checks.Checked):
     """Projected block Gauss-Seidel (omega = 1) or SOR.
 
     Parameters
@@ -77,15 +79,8 @@ class ProjectedGaussSeidel:
     1.2
     """
 
-    omega: float = 1.0
+    omega: Omega = 1.0
     order: Literal["forward", "backward", "symmetric"] = "forward"
-
-    def __post_init__(self) -> None:
-        omega = checks.number("omega", self.omega)
-        if not 0 < omega < 2:
-            raise ValueError(f"omega must be in (0, 2), got {self.omega!r}")
-        object.__setattr__(self, "omega", omega)
-        checks.choice("order", self.order, _DIRECTIONS)
 
     def smooth(
         self,

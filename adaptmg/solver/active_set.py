@@ -10,7 +10,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, cast
+from functools import partial
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from scipy import linalg, sparse
@@ -34,7 +35,7 @@ _LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ActiveSet:
+class ActiveSet(checks.Checked):
     """Semismooth Newton (active set) method on the finest grid; see
     :mod:`adaptmg.solver.active_set`.
 
@@ -80,26 +81,25 @@ class ActiveSet:
     'CONVERGED'
     """
 
-    linear: LinearSolver = field(default_factory=Direct)
-    condensed: bool | None = None
+    linear: Annotated[
+        LinearSolver,
+        partial(checks.offers, method="setup", words="Direct(), AMG(...) or offer setup()"),
+    ] = field(default_factory=Direct)
+    condensed: checks.Flag | None = None
     start: Literal["interior", "held"] | None = None
-    rtol: float = 1e-10
-    max_steps: int = 200
-    nested_start: bool = False
+    rtol: checks.Tolerance = 1e-10
+    max_steps: checks.Count = 200
+    nested_start: checks.Flag = False
 
     def __post_init__(self) -> None:
         """Check the options, and fill in the defaults that depend on others."""
-        checks.offers("linear", self.linear, "setup", "Direct(), AMG(...) or offer setup()")
+        super().__post_init__()
         if self.condensed is None:
             object.__setattr__(self, "condensed", isinstance(self.linear, Direct))
-        checks.convert(self, checks.flag, "condensed", "nested_start")
         if self.condensed and not isinstance(self.linear, Direct):
             raise ValueError("condensed=True needs linear=Direct(), got another linear solver")
         if self.start is None:
             object.__setattr__(self, "start", "interior" if self.condensed else "held")
-        checks.choice("start", self.start, ("interior", "held"))
-        checks.convert(self, checks.tolerance, "rtol")
-        checks.integer("max_steps", self.max_steps, 1)
 
     def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level, with ``nested_start`` first on the levels below it, from a
@@ -294,9 +294,11 @@ class _Newton:
         if self.finest and not self.run.history:
             # no step on this level yet: what was counted until here belongs to the nested start
             self.run.start_work_units = self.run.work_units
-        unknowns = np.zeros(self.local.system.n_dofs)
-        if self.start is not None:
-            unknowns = self.local.to_local(self.start)
+        unknowns = (
+            np.zeros(self.local.system.n_dofs)
+            if self.start is None
+            else self.local.to_local(self.start)
+        )
         state = _NewtonState(unknowns=unknowns, tolerances=self.TOLERANCES)
         begins_inside = self.start is None and self.options.start == "interior"
         if begins_inside and len(self.local.contact.gap):
@@ -316,13 +318,12 @@ class _Newton:
         if state.gives_up is not None:
             return Measured(state.cycles, gives_up=state.gives_up)
         active = state.equations.active
-        slip = state.equations.slip
         return self._norms(
             state.cycles,
             state.unknowns,
             state.residual,
             active=int(active.sum()),
-            slip=int((active & slip).sum()),
+            slip=int((active & state.equations.slip).sum()),
         )
 
     def step(self, state: _NewtonState) -> _NewtonState:
@@ -607,11 +608,13 @@ class SparseSteps:
             return
         with self.run.phase("factorise" if isinstance(self.linear, Direct) else "setup"):
             eliminated = without_fixed(matrix, prescribed, copy=False)
-            uncoupled = None
-            if not equations.symmetric:
-                uncoupled = without_fixed(
+            uncoupled = (
+                None
+                if equations.symmetric
+                else without_fixed(
                     self._contact_rows(equations, coupled=False), prescribed, copy=False
                 )
+            )
             modes = local_near_nullspace(self.local, prescribed)
             self._prepared = self.linear.setup(
                 eliminated,
@@ -625,12 +628,11 @@ class SparseSteps:
     def _contact_rows(self, equations: Linearised, coupled: bool = True) -> sparse.bsr_array:
         """Return the matrix with Coulomb coupling (if ``coupled``) and curvature in the rows of contact
         nodes."""
-        system = self.local.system
         data = self._matrix.data.copy()
         # numbers of the blocks in rows of contact nodes
         blocks = np.flatnonzero(self._contact_of_row >= 0)
         diagonal_blocks = blocks[
-            system.nodes[self._contact_of_row[blocks]] == self._matrix.indices[blocks]
+            self.local.system.nodes[self._contact_of_row[blocks]] == self._matrix.indices[blocks]
         ]
         node = self._contact_of_row[diagonal_blocks]
         # A_t - mu z A_n, and on the diagonal kappa Pi and the springs 1/e

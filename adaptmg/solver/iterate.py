@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar, cast
+from typing import Annotated, Any, TypeVar, cast
 
 import numpy as np
 from scipy import sparse
@@ -47,8 +47,19 @@ class Measured:
     columns: dict[str, float] = field(default_factory=dict)  # further ones of the history
 
 
+def _kept_vector(name: str, value: object) -> np.ndarray:
+    """Return a read-only copy of a vector of a state."""
+    entries = checks.real_array(value)
+    if entries is None or entries.ndim != 1:
+        raise TypeError(f"{name} must be a real array (n_dofs,), got {checks.shown(value)}")
+    # not a check for finite numbers: a method that diverges is reported as such
+    vector = np.array(entries, dtype=np.float64)
+    vector.flags.writeable = False
+    return vector
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
-class State:
+class State(checks.Checked):
     """All that flows from one step of a method to the next.
 
     Parameters
@@ -75,30 +86,11 @@ class State:
     2.0
     """
 
-    unknowns: np.ndarray
-    passes: float = 0.0
+    unknowns: Annotated[np.ndarray, _kept_vector]
+    passes: checks.Nonnegative = 0.0
     memory: Any = None
-    residual: np.ndarray | None = None
-    cycles: int = 0
-
-    def __post_init__(self) -> None:
-        _keep_vector(self, "unknowns")
-        if self.residual is not None:
-            _keep_vector(self, "residual")
-        checks.convert(self, checks.nonnegative, "passes")
-        checks.integer("cycles", self.cycles)
-
-
-def _keep_vector(state: State, name: str) -> None:
-    """Replace a vector of a state by a read-only copy."""
-    entries = checks.real_array(getattr(state, name))
-    if entries is None or entries.ndim != 1:
-        shown = checks.shown(getattr(state, name))
-        raise TypeError(f"{name} must be a real array (n_dofs,), got {shown}")
-    # not a check for finite numbers: a method that diverges is reported as such
-    vector = np.array(entries, dtype=np.float64)
-    vector.flags.writeable = False
-    object.__setattr__(state, name, vector)
+    residual: Annotated[np.ndarray, _kept_vector] | None = None
+    cycles: checks.Whole = 0
 
 
 Flowing = TypeVar("Flowing")  # what a method has for its states

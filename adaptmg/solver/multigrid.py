@@ -18,12 +18,13 @@ from __future__ import annotations
 import logging
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, cast
+from functools import partial
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._text import brief, label
+from adaptmg._text import label
 from adaptmg.grids import Grids
 from adaptmg.multigrid.cycle import CoarseSolve, Correction, Cycle, Monotone, NestedStart
 from adaptmg.multigrid.truncated_parts import Truncated
@@ -55,8 +56,23 @@ _OF_TRUNCATED = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Multigrid:
+def _tolerance(name: str, value: object) -> object:
+    """Return a tolerance as a float, or "discretisation"."""
+    if not isinstance(value, str):
+        return checks.tolerance(name, value)
+    if value != "discretisation":
+        raise ValueError(
+            f"{name} must be a number > 0 and < 1 or 'discretisation', got {checks.shown(value)}"
+        )
+    return value
+
+
+_SMOOTHER = "a smoother, which offers smooth(system, contact, load, unknowns, sweeps) -> passes"
+ToleranceOrName = Annotated[float | Literal["discretisation"], _tolerance]
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Multigrid(checks.Checked):
     """Multigrid cycles from zero or from a given start.
 
     Parameters
@@ -100,20 +116,22 @@ class Multigrid:
     True
     """
 
-    cycle: Cycle | None = None
-    smoother: Smoother | None = None
+    cycle: Annotated[Cycle, partial(checks.instance, types=Cycle, words="a Cycle")] | None = None
+    smoother: (
+        Annotated[Smoother, partial(checks.offers, method="smooth", words=_SMOOTHER)] | None
+    ) = None
     correction: Correction | Truncated = field(default_factory=Truncated)
-    coarse: CoarseSolve | None = None
+    coarse: (
+        Annotated[CoarseSolve, partial(checks.instance, types=CoarseSolve, words="a CoarseSolve")]
+        | None
+    ) = None
     coarse_matrices: Literal["galerkin", "discretised"] | None = None
     stop: Literal["error", "change"] | None = None
-    rtol: float | Literal["discretisation"] = 1e-8
-    max_cycles: int = 100
-
-    __repr__ = brief
+    rtol: ToleranceOrName = 1e-8
+    max_cycles: checks.Count = 100
 
     def __post_init__(self) -> None:
-        """Check the options; of the projected method those that are given, and else its
-        defaults."""
+        super().__post_init__()
         truncated = isinstance(self.correction, Truncated)
         if not truncated:
             checks.offers(
@@ -126,37 +144,18 @@ class Multigrid:
                 f"needs_initial of correction {checks.shown(self.correction)}",
                 getattr(self.correction, "needs_initial", None),
             )
-        named = self._named
-        if truncated and named:
-            name, value = next(iter(named.items()))
+        if truncated and self._named:
+            name, value = next(iter(self._named.items()))
             remedy = _OF_TRUNCATED.get(name, "am.Monotone()")
             raise ValueError(
                 f"{name} must not be given with the correction Truncated(), which defines its own, got "
                 f"{checks.shown(value)}: give correction={remedy}"
             )
-        options = PROJECTED | named
-        checks.instance("cycle", options["cycle"], Cycle, "a Cycle")
-        checks.offers(
-            "smoother",
-            options["smoother"],
-            "smooth",
-            "a smoother, which offers smooth(system, contact, load, unknowns, sweeps) -> passes",
-        )
-        checks.instance("coarse", options["coarse"], CoarseSolve, "a CoarseSolve")
-        checks.choice("coarse_matrices", options["coarse_matrices"], ("galerkin", "discretised"))
-        checks.choice("stop", options["stop"], ("error", "change"))
-        if not isinstance(self.rtol, str):
-            object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
-        elif self.rtol != "discretisation":
-            raise ValueError(
-                f"rtol must be a number > 0 and < 1 or 'discretisation', got {checks.shown(self.rtol)}"
-            )
-        elif not (isinstance(self, FullMultigrid) and truncated):
+        if isinstance(self.rtol, str) and not (isinstance(self, FullMultigrid) and truncated):
             raise ValueError(
                 "rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start "
                 "shows the discretisation error"
             )
-        checks.integer("max_cycles", self.max_cycles, 1)
 
     @property
     def _named(self) -> dict[str, Any]:
@@ -216,7 +215,7 @@ class Multigrid:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class FullMultigrid(Multigrid):
     """The full multigrid method: nested start, then cycles on the finest level.
 
@@ -234,13 +233,9 @@ class FullMultigrid(Multigrid):
     True
     """
 
-    start: NestedStart = field(default_factory=NestedStart)
-
-    __repr__ = brief
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        checks.instance("start", self.start, NestedStart, "a NestedStart")
+    start: Annotated[
+        NestedStart, partial(checks.instance, types=NestedStart, words="a NestedStart")
+    ] = field(default_factory=NestedStart)
 
     def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
         if start is not None:

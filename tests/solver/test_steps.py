@@ -395,7 +395,7 @@ test_options_of_the_parts_are_checked = refused(
         "smooth must be a number of sweeps or offer smooth",
     ),
     (lambda: am.Truncated(smooth=0), "smooth must be >= 1"),
-    (lambda: am.Truncated(recombine=5), "recombine must be 0 to 4, got 5"),
+    (lambda: am.Truncated(recombine=5), "recombine must be <= 4, got 5"),
     (lambda: am.Truncated(project=3), TypeError, "project must be None or offer"),
     (lambda: am.Truncated(correct=am.Cycle(shape="complete")), "shape of correct"),
     (lambda: am.Truncated(correct=3), TypeError, "correct"),
