@@ -102,9 +102,9 @@ class Grids:
         levels = [Level(discrete, None, checked[-1])]
         # coarse levels k, the finest of them first; checked[k] leads from level k to the next finer one
         for k in reversed(range(len(checked))):
-            problem = None
-            if contact:
-                problem = restricted_problem(levels[0].discrete, checked[k], matrices[k])
+            problem = (
+                restricted_problem(levels[0].discrete, checked[k], matrices[k]) if contact else None
+            )
             from_coarser = checked[k - 1] if k > 0 else None
             levels.insert(0, Level(problem, None, from_coarser, galerkin=matrices[k]))
         return cls(tuple(levels), None, "given prolongations", {"transfer": clock() - begin})

@@ -380,10 +380,11 @@ def meshed_domain(problem: ContactProblem | ScalarProblem) -> Domain:
             and (body is None or part.body in (None, body))
         ]
         for point in points:
-            if isinstance(domain, Cracked):
-                domain = replace(domain, domain=with_vertex(domain.domain, point))
-            else:
-                domain = with_vertex(domain, point)
+            domain = (
+                replace(domain, domain=with_vertex(domain.domain, point))
+                if isinstance(domain, Cracked)
+                else with_vertex(domain, point)
+            )
         return domain
 
     whole = need_domain(problem)

@@ -119,10 +119,11 @@ class ContactNodes:
             )
         weights = _uniform(1.0, n) if weights is None else bounded("weights", weights, (n,))
         _check_weights(weights)
-        if slip_reference is None:
-            slip_reference = _uniform(0.0, normals.shape)
-        else:
-            slip_reference = bounded("slip_reference", slip_reference, normals.shape, checks.VAST)
+        slip_reference = (
+            _uniform(0.0, normals.shape)
+            if slip_reference is None
+            else bounded("slip_reference", slip_reference, normals.shape, checks.VAST)
+        )
         accumulated_slip = _at_least(0.0, "accumulated_slip", accumulated_slip, n)
         compliance = _at_least(0.0, "compliance", compliance, n)
         if scalar and compliance.any():
@@ -317,9 +318,11 @@ def _checked_gaps(
     gaps: ArrayLike, opposite_gaps: ArrayLike | None, n: int, scalar: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the gaps (n,) and the opposite gaps (n,) of contact nodes, read-only."""
-    opposite = _uniform(np.inf, n)
-    if opposite_gaps is not None:
-        opposite = _limits("opposite_gaps", opposite_gaps, (n,))
+    opposite = (
+        _uniform(np.inf, n)
+        if opposite_gaps is None
+        else _limits("opposite_gaps", opposite_gaps, (n,))
+    )
     if not scalar and np.isfinite(opposite).any():
         raise ValueError(
             "opposite_gaps are for scalar problems (dim 1): of a body between two obstacles the "

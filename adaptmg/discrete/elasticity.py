@@ -446,11 +446,10 @@ def separate_bodies(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     """Return elements and points in which bodies share no points: a node that several bodies use
     becomes a point for each of them. The first body keeps its number, the points of further bodies get
     the numbers n_nodes, n_nodes + 1, ..."""
-    n = mesh.n_nodes
     if len(mesh.bodies) == 1:
         return mesh.elements, mesh.points
     body_of_corner = np.repeat(mesh.element_body, mesh.elements.shape[1])
-    numbers, doubled_nodes = doubled(body_of_corner, mesh.elements.reshape(-1), n)
+    numbers, doubled_nodes = doubled(body_of_corner, mesh.elements.reshape(-1), mesh.n_nodes)
     points = np.concatenate([mesh.points, mesh.points[doubled_nodes]])
     elements = numbers.astype(np.int32).reshape(mesh.elements.shape)
     return read_only(elements), read_only(points)

@@ -327,10 +327,11 @@ def supported_stiffness(
     matrix = stiffness(mesh, material, elements, tangents)
     materials = body_materials(mesh, material)
     if elements == "smoothed" and inelastic_bodies(materials).any():
-        if tangents is None:
-            volumes = formed_volumes(volume_groups(mesh, materials, inelastic=True), mesh.dim)
-        else:
-            volumes = tangents.volumes
+        volumes = (
+            formed_volumes(volume_groups(mesh, materials, inelastic=True), mesh.dim)
+            if tangents is None
+            else tangents.volumes
+        )
         matrix = sparse.bsr_array(matrix + volumes).sorted_indices()
     springs = [support for support in supports if isinstance(support, Spring | PointSpring)]
     if springs:

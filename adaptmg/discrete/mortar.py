@@ -291,14 +291,13 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     condition u_j - u_k(j) + sum_i E_ji w_i/w_j (u_i - u_k(i)), and so for the gaps. Nodes without a
     multiplier and without a partner, where the slave hangs over, give nothing away."""
     points = surfaces.points
-    normals = surfaces.normals
     nodes = surfaces.slave_side.nodes
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     master_nodes = surfaces.master_side.nodes
     partner = master_nodes[cKDTree(points[master_nodes]).query(points[nodes])[1]]
     to_partner = points[partner] - points[nodes]
-    normal = normals[nodes]
+    normal = surfaces.normals[nodes]
     gaps = np.einsum("nd,nd->n", to_partner, normal)
     offset = np.linalg.norm(to_partner - gaps[:, None] * normal, axis=1)
     has_partner = _with_partners(surfaces, nodes, partner, offset)

@@ -599,14 +599,13 @@ class Guide:
         posed = self.posed(motions)
         discrete = posed[self.level_number].discrete
         n = self.n_motions
-        dim = discrete.dim
         # motions over z, by which all z become lengths: 1 of displacements, 1 over the arm of rotations
         scales = np.concatenate([part.sizes / part.sizes[0] for part in self.parts])
         forces = np.concatenate(
             [part.targets + part.force_sizes * extra[part.indices] for part in self.parts]
         )
         # the matrix has blocks of dim dofs: columns of zeros, whose dofs are fixed, complete the last one
-        moves = np.pad(self._motions_at_contact(discrete, scales), ((0, 0), (0, -n % dim)))
+        moves = np.pad(self._motions_at_contact(discrete, scales), ((0, 0), (0, -n % discrete.dim)))
         padded = moves.shape[1]
         basis = sparse.hstack([sparse.eye_array(discrete.n_dofs), sparse.csr_array(moves)], "csr")
         soft = _SOFT * np.abs(discrete.matrix.diagonal()).max()

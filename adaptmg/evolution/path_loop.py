@@ -311,9 +311,11 @@ class PathLoop:
                 problem = level.discrete
                 # slips count from the displacement after the last step; before the first step there is
                 # none, and they count from the reference that the level was posed with
-                reference = level.discrete.contact.slip_reference
-                if len(self.recent) > 1:
-                    reference = problem.at_contact(self.displacements[number - n_unused])
+                reference = (
+                    problem.at_contact(self.displacements[number - n_unused])
+                    if len(self.recent) > 1
+                    else problem.contact.slip_reference
+                )
                 # coarse levels make starts only: with the slips of the nearest fine nodes four paths
                 # of ten steps take 253 cycles, without any 258
                 slips = (

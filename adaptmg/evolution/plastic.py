@@ -219,9 +219,10 @@ class _Newton:
             grids = self._linearised()
             tangent = grids.finest.discrete
             self.examiner = Examiner(tangent)
-            solution = self.response.displacement
             if number and tolerance <= self.rtol:
-                checked = cast("Certificate", self.examiner(solution, self.rtol).checked)
+                checked = cast(
+                    "Certificate", self.examiner(self.response.displacement, self.rtol).checked
+                )
                 error = checked.energy_error
                 if error <= max(self.rtol, checked.energy_rounding):
                     status = Status.CONVERGED

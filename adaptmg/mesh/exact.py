@@ -44,10 +44,9 @@ def surfaces_of(domain: Domain | None) -> dict[str, list[Revolved]]:
             for surface in surfaces
         )
     if isinstance(domain, Moved):
-        rotation = domain.rotation
         offset = np.array(domain.offset)
         return {
-            name: [surface.moved(rotation, offset) for surface in surfaces]
+            name: [surface.moved(domain.rotation, offset) for surface in surfaces]
             for name, surfaces in surfaces_of(domain.solid).items()
         }
     return _merged(_faces(in_edges(domain)))
@@ -97,10 +96,11 @@ def _extruded(outline: Outline) -> Iterator[tuple[str, Revolved]]:
     """Yield the surfaces that the edges of an outline make when they are extruded along z."""
     for i, name in enumerate(outline.boundaries):
         edge = outline.edges[i]
-        if isinstance(edge, Arc):
-            surface = round_about((*edge.center, 0.0), _AXIS, edge.radius)
-        else:
-            surface = plane_through((*edge.start, 0.0), (*_normal(edge), 0.0))
+        surface = (
+            round_about((*edge.center, 0.0), _AXIS, edge.radius)
+            if isinstance(edge, Arc)
+            else plane_through((*edge.start, 0.0), (*_normal(edge), 0.0))
+        )
         yield name, replace(surface, edge=edge)
 
 

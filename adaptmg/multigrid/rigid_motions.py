@@ -47,10 +47,15 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
     identity = np.eye(rows.shape[1])
     if not linalg.lapack.dpotrf(scaled.T @ scaled - checks.SIX_DIGITS * identity)[1]:
         return np.empty((rows.shape[1], 0))
-    # by the triangular factor, which has the same singular values and at most k rows
-    _, singular, combinations = np.linalg.svd(np.linalg.qr(scaled, mode="r"), full_matrices=True)
-    rank = np.count_nonzero(singular > checks.ALIKE)
-    return (combinations[rank:] / size).T
+    return (orthonormal_null_combinations(scaled, checks.ALIKE) / size).T
+
+
+def orthonormal_null_combinations(rows: np.ndarray, negligible: float) -> np.ndarray:
+    """Return orthonormal rows (m, k) of coefficients for which ``rows`` (n, k) vanish, up to
+    ``negligible``."""
+    # the triangular factor has the same singular values and at most k rows
+    _, singular, combinations = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
+    return combinations[np.count_nonzero(singular > negligible) :]
 
 
 @remembered_of_structure

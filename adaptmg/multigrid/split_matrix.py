@@ -182,12 +182,14 @@ class SplitMatrix:
     def _places(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return the block rows and columns of L, D and U."""
         diagonal = np.arange(self.n_nodes)
-        order = self.strips.order
         _, row, lower = self._entries
         upper = (
             (lower, row)
             if self.symmetric
-            else (np.repeat(order, np.diff(self.upper_indptr)), self.upper_indices.astype(np.int64))
+            else (
+                np.repeat(self.strips.order, np.diff(self.upper_indptr)),
+                self.upper_indices.astype(np.int64),
+            )
         )
         return [(row, lower), (diagonal, diagonal), upper]
 

@@ -196,9 +196,7 @@ class TruncatedContact:
             slips = np.empty((n, 0))
             return NodalContact(self.gap, slips, self.limit, self.friction, lowest=self.reference)
         # here it serves :attr:`NodalContact.driven` alone
-        held = None
-        if len(self.driven):
-            held = mask_of(self.driven, n)
+        held = mask_of(self.driven, n) if len(self.driven) else None
         reference = self.reference.reshape(n, self.dim - 1)
         return NodalContact(
             self.gap,

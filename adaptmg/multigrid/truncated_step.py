@@ -608,11 +608,10 @@ class CoarseContact:
         if space is None:
             return
         self.number, contact_rows, moving_nodes = space  # as _spaces yields them
-        levels = step.cycle.levels
         contact = step.contact
         dim = step.contact.dim
         matrix = step.base_matrix(self.number)
-        fixed = mask_of(levels[self.number].matrix.fixed, matrix.shape[0])
+        fixed = mask_of(step.cycle.levels[self.number].matrix.fixed, matrix.shape[0])
         self.eliminated = _eliminated(matrix, fixed, moving_nodes, coordinates[self.number])
         self.unknowns = _CoarseSpan(
             self.eliminated.matrix, contact_rows[:, self.eliminated.contact], dim

@@ -229,8 +229,7 @@ def _products(
     coarse_columns = np.empty(n_products_at_most, dtype=np.int32)
     below = int(level.lower_indptr[-1])
     above = int(level.upper_indptr[-1])
-    n = level.n_nodes
-    number = np.full(below + n + above, -1, dtype=np.int32)
+    number = np.full(below + level.n_nodes + above, -1, dtype=np.int32)
     n_met, n_products, n_lost = fill_contributions(
         rows,
         columns,

@@ -351,13 +351,12 @@ def _parts(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return of each run of contact nodes (n,) its entries in the contact arrays, in order, and the arc
     lengths there along the whole boundary, m; ``index`` are the entries of all of them."""
-    points = mesh.points
     place = np.full(mesh.n_nodes, -1)
     place[contact.node[index]] = index
     parts = []
     begin = 0.0
     for line in polylines(mesh.boundary_facets(boundary)):
-        lengths = np.linalg.norm(np.diff(points[line], axis=0), axis=1)
+        lengths = np.linalg.norm(np.diff(mesh.points[line], axis=0), axis=1)
         arc = begin + np.concatenate([[0.0], np.cumsum(lengths)])
         begin = arc[-1]
         # runs of contact nodes that follow each other on the line

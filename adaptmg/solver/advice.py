@@ -356,7 +356,6 @@ def _advise_on_strains(posed: Posed, result: Result, body_volumes: np.ndarray) -
     (``body_volumes``, m^2 or m^3), and warn if they are."""
     problem = posed.problem
     mesh = posed.mesh
-    materials = posed.materials
     if _energy_excludes_strains(posed, result, body_volumes):
         return False
     volumes = element_measures(mesh, problem.axisymmetric)
@@ -375,7 +374,7 @@ def _advise_on_strains(posed: Posed, result: Result, body_volumes: np.ndarray) -
             "strain",
             f"strains exceed {100 * STRAIN:g} % in {100 * large_share[body]:.3g} % of body "
             f"{mesh.bodies[body]!r} (largest {largest:.3g}), but the theory is one of small strains: check young "
-            f"({materials[body].young:g} Pa; steel has 2.1e11) and the loads (Pa, N), or load it less",
+            f"({posed.materials[body].young:g} Pa; steel has 2.1e11) and the loads (Pa, N), or load it less",
         )
     return bool(large_share[body] > SHARE)
 

@@ -563,7 +563,6 @@ def change_with_free_status(
         return None
     coarse = _smoothed_of(problem)
     load = coarse.span.T @ residual
-    dim = problem.dim
     # where a support holds a tangent its reaction takes the place of friction
     without_support = ~problem.held_spans(problem.contact.nodes).any(axis=(1, 2))
     slip = to_frames(coarse.frames, claims.slip)[:, 1:]
@@ -581,7 +580,7 @@ def change_with_free_status(
         coarse,
         load=coarse.condense(load),
         contact=conditions,
-        stiffness=np.tile(stiffness[:, None], dim),
+        stiffness=np.tile(stiffness[:, None], problem.dim),
         tolerance=_ENOUGH,
     )
     if not solution.slack <= _ENOUGH:

@@ -347,9 +347,8 @@ class Examiner:
         displacement = discrete.physical(solved.reshape(discrete.n_nodes, discrete.dim))
         contact = self._contact_result(solved, residual)
         natural = self._residual(solution, residual)
-        checked = None
-        if self.certified:
-            checked = certify(
+        checked = (
+            certify(
                 discrete,
                 displacement,
                 contact,
@@ -358,6 +357,9 @@ class Examiner:
                 residual=residual,
                 on_mesh=self.on_mesh,
             )
+            if self.certified
+            else None
+        )
         # A u - b, with the reactions of inclined supports, which the matrix lacks
         exerted = discrete.inclined.reaction(solved, pressures) - residual
         examined = Examined(
@@ -448,10 +450,14 @@ def _forces_on_other_nodes(
     node goes into that support, unless node i has it, too. Nodes of a master carry -W'f, with the
     weights W of :func:`_weights_of_masters`."""
     contact = discrete.contact
-    dim = discrete.dim
     # nodes, forces, contacts and mask, piece by piece; the first piece is empty
     pieces = [
-        (np.empty(0, dtype=np.int64), np.empty((0, dim)), np.empty(0, np.int64), np.empty(0, bool))
+        (
+            np.empty(0, dtype=np.int64),
+            np.empty((0, discrete.dim)),
+            np.empty(0, np.int64),
+            np.empty(0, bool),
+        )
     ]
     if discrete.coupling is None:  # nodes that are taken over would have made one
         return pieces[0]

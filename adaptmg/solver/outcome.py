@@ -88,8 +88,7 @@ def _method(solver: Solver | Method | None, grids: Grids) -> tuple[Grids, Solver
     if len(grids) > 1:
         return _levels_that_pay(grids) if grids.discretised else (grids, Multigrid(), "")
     level = grids.finest
-    n_dofs = grids.finest.discrete.n_dofs
-    why = f"for one mesh of {n_dofs} unknowns the quickest is "
+    why = f"for one mesh of {grids.finest.discrete.n_dofs} unknowns the quickest is "
     if not factorisable(level.discrete, FACTORISED):
         with suppress(ValueError):  # nothing to coarsen
             made = Grids.algebraic(level.discrete)

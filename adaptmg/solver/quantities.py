@@ -404,8 +404,9 @@ class Quantities:
         if self.ties is not None and boundary in self.ties.names:
             return self.ties.on(boundary)
         if self.mesh is None:
-            names = self.contact.names
-            raise ValueError(f"boundary {boundary!r} is not known; known are 'contact', {names}")
+            raise ValueError(
+                f"boundary {boundary!r} is not known; known are 'contact', {self.contact.names}"
+            )
         if boundary in self.springs and boundary not in self.mesh.boundaries:
             return np.empty(0, dtype=np.int64), np.zeros((0, self.dim))  # springs at a point
         return self._support_forces(boundary)

@@ -34,6 +34,7 @@ from adaptmg.discrete.elasticity import dofs_of, rotations
 from adaptmg.discrete.loads import largest_nodal_stiffness
 from adaptmg.discrete.problem import DiscreteProblem, remembered, remembered_of_structure
 from adaptmg.grids import Grids
+from adaptmg.multigrid.rigid_motions import orthonormal_null_combinations
 from adaptmg.problem.laws import sampled_friction
 from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.smoother.factorisation import eliminated, node_graph
@@ -229,14 +230,7 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     # springs far softer than the body hold it too: forces count over the largest one
     scale = np.abs(forces).max(initial=0.0) if strained.any() else 1.0
     held = np.vstack([modes[problem.fixed[dofs]], forces[strained] / scale])
-    return modes @ _null_combinations(held).T
-
-
-def _null_combinations(rows: np.ndarray) -> np.ndarray:
-    """Return orthonormal rows (n_null, k) of coefficients for which ``rows`` (n, k) vanish."""
-    # the triangular factor has at most k rows and the same singular values
-    _, singular, combinations = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
-    return combinations[np.count_nonzero(singular > checks.SIX_DIGITS) :]
+    return modes @ orthonormal_null_combinations(held, checks.SIX_DIGITS).T
 
 
 def _check_body(body: _Body) -> None:
@@ -269,7 +263,9 @@ def _check_balance(body: _Body, forces: _Forces, work: np.ndarray) -> None:
 def _check_unique(body: _Body, forces: _Forces, has_friction: bool) -> None:
     """Raise ValueError if no contact force works on some free motion; after :func:`_check_balance` the
     load does not, either."""
-    neutral = _null_combinations(np.hstack([forces.edges, forces.segments]).T)
+    neutral = orthonormal_null_combinations(
+        np.hstack([forces.edges, forces.segments]).T, checks.SIX_DIGITS
+    )
     if not len(neutral):
         return
     motion = body.describe(_axis_motion_in_span(body, neutral))
@@ -331,11 +327,8 @@ def advise_on_free_motions(problem: DiscreteProblem, contact: ContactResult) -> 
         sticks = contact.state[touches] == STICK
         # none moves along a normal, none that sticks along a tangent; without nodes all are free, of
         # which a row of zeros keeps the number
-        free = _null_combinations(
-            np.concatenate(
-                [np.zeros((1, k)), local_motions[:, 0], local_motions[sticks, 1:].reshape(-1, k)]
-            )
-        )
+        held = [np.zeros((1, k)), local_motions[:, 0], local_motions[sticks, 1:].reshape(-1, k)]
+        free = orthonormal_null_combinations(np.concatenate(held), checks.SIX_DIGITS)
         if len(free):
             advise(
                 "free",
@@ -448,7 +441,7 @@ def _motion_to_blame(
     # unlimited friction would hold the body, so it slides. The multipliers move along an edge of a
     # friction cone, which opens contact: the motion to blame is their part that keeps contact, on
     # which no pressure works; the rows of ``sliding`` are an orthonormal basis of such motions
-    sliding = _null_combinations(stuck.edges.T)
+    sliding = orthonormal_null_combinations(stuck.edges.T, checks.SIX_DIGITS)
     slide = sliding.T @ (sliding @ motion)
     return slide if slide @ work > checks.SIX_DIGITS else motion
 

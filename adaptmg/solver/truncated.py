@@ -212,9 +212,11 @@ class TruncatedCycles:
         new = with_fields(
             parts.correct(state), shorten_above=self.LARGE if is_uncertain else np.inf
         )
-        from_start = None
-        if new.cycles == 1 and self.nested is not None:
-            from_start = parts.distance(parts.displacement(new), self.nested[: parts.matrix.n_dofs])
+        from_start = (
+            parts.distance(parts.displacement(new), self.nested[: parts.matrix.n_dofs])
+            if new.cycles == 1 and self.nested is not None
+            else None
+        )
         if self.coarse is not None and self._seeks_status(new):
             new = self._after_coarse_contact(new, self.coarse())
         # Sizes are measured every fourth cycle and after a coarse contact problem, but every cycle
@@ -444,9 +446,8 @@ class TruncatedRun:
         problem = self.problems[-1]
         nested = start.copy() if self.rtol == "discretisation" else None
         parts = self.steps_on(len(self.hierarchy) - 1)
-        coarse = None
-        if len(problem.contact) and self.parts.coarse_contact:
-            coarse = partial(self._coarse_contact, parts)
+        takes_coarse_contact = len(problem.contact) and self.parts.coarse_contact
+        coarse = partial(self._coarse_contact, parts) if takes_coarse_contact else None
         cycles = TruncatedCycles(
             parts, problem, origin=origin, coarse=coarse, run=self.run, nested=nested
         )
@@ -485,14 +486,16 @@ class TruncatedRun:
             parts = self.parts
             levels = [level.matrix for level in self.cycle.levels]
             contact = TruncatedContact.of(problem, levels[number])
-            interface = None
-            if problem.between_bodies and parts.interface_sweeps:
-                interface = Interface(
-                    levels[number], cast("Coupling", problem.coupling), problem.fixed
-                )
-            smoother = None
-            if not isinstance(parts.smooth, int):
-                smoother = FrameSmoother(parts.smooth, problem, levels[number])
+            interface = (
+                Interface(levels[number], cast("Coupling", problem.coupling), problem.fixed)
+                if problem.between_bodies and parts.interface_sweeps
+                else None
+            )
+            smoother = (
+                None
+                if isinstance(parts.smooth, int)
+                else FrameSmoother(parts.smooth, problem, levels[number])
+            )
             is_finest = number == len(levels) - 1
             if is_finest:
                 # only contact and smoother read it: the finest matrix is never truncated

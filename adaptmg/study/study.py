@@ -413,9 +413,11 @@ class Study:
 
     def _log_end(self, record: Record, watch: Watch) -> None:
         """Log how a run ended."""
-        end = f"done in {record.seconds:.3g} s; {watch.words()}"
-        if record.error:
-            end = f"failed: {printable(record.error)}"
+        end = (
+            f"failed: {printable(record.error)}"
+            if record.error
+            else f"done in {record.seconds:.3g} s; {watch.words()}"
+        )
         _log.log(
             logging.WARNING if record.error else logging.INFO,
             "study %s: [%d/%d] %s %s",
