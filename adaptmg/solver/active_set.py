@@ -221,6 +221,16 @@ class _NewtonTest(StopTest):
         self.met = self._small_enough()
 
 
+class _CoarsestTest(_NewtonTest):
+    """After a step a small natural residual suffices, too: the start that comes from a coarsest solution
+    needs no bound of its error. This spares the step that only shows that the one before it was the
+    last: 20 load steps with 4225 nodes take 21 Newton steps in place of 40."""
+
+    def judge(self, state: Measured) -> None:
+        super().judge(state)
+        self.met = self.met or (bool(self.changes) and self.residual <= self.rtol)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _NewtonState:
     """An iterate, and the contact status that it decides."""
@@ -282,10 +292,12 @@ class _Newton:
             else CondensedSteps(condensed, run)
         )
 
-    def solve(self, certified: bool) -> tuple[_NewtonState, Status, StopTest]:
-        """Iterate. On the finest level the run records the history; if ``certified``, the certificate
-        confirms the end."""
-        stop = _NewtonTest(
+    def solve(
+        self, certified: bool, test: type[_NewtonTest] = _NewtonTest
+    ) -> tuple[_NewtonState, Status, StopTest]:
+        """Iterate until a ``test`` ends the iteration. On the finest level the run records the history;
+        if ``certified``, the certificate confirms the end."""
+        stop = test(
             self.options.rtol,
             self.options.max_steps,
             self._shortfall if certified else None,
@@ -686,5 +698,5 @@ def coarsest_solution_near(
     run = Run(unit=local.system.nonzeros)  # a work unit is a pass over this matrix
     options = ActiveSet(rtol=rtol, condensed=condensed is not None)
     newton = _Newton(options, local, run, level=0, start=start, condensed=condensed)
-    state, *_ = newton.solve(certified=False)
+    state, *_ = newton.solve(certified=False, test=_CoarsestTest)
     return local.to_cartesian(state.unknowns).reshape(-1), state.cycles, run.work_units
