@@ -40,16 +40,20 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
 def coarse_matrix(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
     """Return P'AP as :func:`galerkin_product` does, of matrices that need no checks."""
     dim = matrix.blocksize[0]
-    coarse = nodal.shape[1]
-    # truncation needs the whole pattern, but products of blocks of size 1 drop entries that vanish:
-    # such blocks get a column of zeros more
-    wide = max(dim, 2)
-    prolongation = sparse.bsr_array(
-        (nodal.data[:, None, None] * np.eye(dim, wide), nodal.indices, nodal.indptr),
-        shape=(nodal.shape[0] * dim, coarse * wide),
+    n, coarse = nodal.shape
+    # the entries of a block side by side, as P multiplies all of them by the same number: products of
+    # blocks, with dim times as many multiplications, take 1.2 to 1.3 times as long. Truncation needs the
+    # whole pattern, but products of single numbers drop those that vanish: these get a zero more
+    size = max(dim * dim, 2)
+    entries = matrix.data.reshape(-1, dim * dim, 1)
+    if dim == 1:
+        entries = np.pad(entries, ((0, 0), (0, 1), (0, 0)))
+    half = sparse.bsr_array((entries, matrix.indices, matrix.indptr), shape=(n * size, n)) @ nodal
+    half = sparse.bsr_array(
+        (half.data.reshape(-1, 1, size), half.indices, half.indptr), shape=(n, coarse * size)
     )
-    product = sparse.bsr_array(prolongation.T @ (matrix @ prolongation), blocksize=(wide, wide))
-    blocks = np.ascontiguousarray(product.data[:, :dim, :dim])
+    product = nodal.T.tocsr().tobsr((1, 1)) @ half
+    blocks = np.ascontiguousarray(product.data[:, 0, : dim * dim]).reshape(-1, dim, dim)
     indptr, indices, data = _with_diagonal_blocks(product.indptr, product.indices, blocks)
     result = sparse.bsr_array((data, indices, indptr), shape=(coarse * dim, coarse * dim))
     result.sort_indices()
