@@ -3,7 +3,6 @@ problem."""
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -184,8 +183,8 @@ class ContactNodes:
 
     def posing(self, **parts: object) -> ContactNodes:
         """Return the nodes with other parts (gaps, ...), which have been checked."""
-        result = copy.copy(self)
-        result.__dict__.update(parts)
+        result = object.__new__(type(self))
+        result.__dict__.update(vars(self), **parts)
         return result
 
     __repr__ = brief

@@ -28,6 +28,7 @@ from adaptmg.evolution.load_steps import (
 )
 from adaptmg.grids import Grids
 from adaptmg.level import Level
+from adaptmg.multigrid.truncated_contact import with_fields
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.closed_forms import free_bodies
 from adaptmg.solver.examine import Examiner
@@ -328,7 +329,7 @@ class PathLoop:
                     step = moved(posed, step, places, self.controls.places)
                 level = level.posing(discrete=step)
             levels.append(level)
-        return replace(self.grids, levels=tuple(levels))
+        return with_fields(self.grids, levels=tuple(levels))
 
     def _remember(
         self, k: int, grids: Grids, result: Result, coarse: list[np.ndarray] | None

@@ -278,26 +278,23 @@ class TruncatedContact:
         if self.dim == 1:
             return
         slip = self.values.reshape(-1, self.dim)[:, 1:] - self.reference.reshape(-1, self.dim - 1)
+        slipping = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
         direction = np.zeros(slip.shape)
         hessian = np.zeros((*slip.shape, self.dim - 1))
-        slipping = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
-        # scaled: the square of a slip that is all but zero may vanish
-        largest = np.abs(slip[slipping]).max(axis=1, keepdims=True)
-        size = largest * np.linalg.norm(slip[slipping] / largest, axis=1, keepdims=True)
-        slip_direction = slip[slipping] / size
-        direction[slipping] = slip_direction
-        hessian[slipping] = (
-            self.hardening[slipping, None, None]
-            * slip_direction[:, :, None]
-            * slip_direction[:, None, :]
-        )
+        direction[slipping] = np.sign(slip[slipping])  # in the plane
         if self.dim == 3:
+            # scaled: the square of a slip that is all but zero may vanish
+            largest = np.abs(slip[slipping]).max(axis=1, keepdims=True)
+            size = largest * np.linalg.norm(slip[slipping] / largest, axis=1, keepdims=True)
+            slip_direction = slip[slipping] / size
+            direction[slipping] = slip_direction
             # g/|tau| (I - tau tau'/|tau|^2)
             across = np.eye(2) - slip_direction[:, :, None] * slip_direction[:, None, :]
-            hessian[slipping] += (self._bound[slipping, None] / size)[:, :, None] * across
+            hessian[slipping] = (self._bound[slipping, None] / size)[:, :, None] * across
             direction[self.driven, 0] = 0.0
             hessian[self.driven, 0] = 0.0
             hessian[self.driven, :, 0] = 0.0
+        hessian += self.hardening[:, None, None] * direction[:, :, None] * direction[:, None, :]
         # new arrays: copies share the old ones
         self.direction = direction.reshape(-1)
         self.hessian = hessian.reshape(-1)

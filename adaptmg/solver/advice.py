@@ -426,9 +426,10 @@ def _advise_on_rotations(mesh: MeshArrays, results: Sequence[Result]) -> None:
         sample = mesh.elements[elements[:: len(elements) // 1000 + 1]]
         nodes = np.flatnonzero(mask_of(sample, mesh.n_nodes))  # sorted
         place = mesh.points[nodes] - mesh.points[nodes].mean(axis=0)
-        # the gradients of the linear motions next to those of the nodes
-        changes = [motion[nodes] - motion[nodes].mean(axis=0) for motion in motions]
-        gradients = np.linalg.lstsq(place, np.hstack(changes), rcond=None)[0]
+        # the gradients of the linear motions next to those of the nodes; translations are orthogonal to
+        # the places, which count from their middle
+        moved = np.hstack([motion[nodes] for motion in motions])
+        gradients = np.linalg.lstsq(place, moved, rcond=None)[0]
         for gradient in np.hsplit(gradients, len(motions)):
             # the skew part has entries theta, so that |G - G'| = 2 sqrt(2) theta
             angle = np.linalg.norm(gradient - gradient.T) / np.sqrt(8)
