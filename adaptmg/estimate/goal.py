@@ -4,15 +4,17 @@ On the mesh with all edges halved the new nodes M carry most of the error d of t
 solution
 :math:`u_h`. With the dual field z of a quantity J (:mod:`adaptmg.estimate.adjoint`), interpolated as well,
 
-.. math:: A_{MM}\,d = (b - A u_h)_M, \qquad
-          J(u) - J(u_h) \approx \tfrac43\,\bigl((J' - A^T z_h)_M \cdot d + J_{h/2}(u_h) - J_h(u_h)\bigr),
+.. math:: A_{MM}\,d = (b - A (u_h + g))_M, \qquad
+          J(u) - J(u_h) \approx \tfrac43\,\bigl((J' - A^T z_h)_M \cdot (d + g) + J_{h/2}(u_h) - J_h(u_h)\bigr),
 
 as halving the elements leaves a quarter of an error (hierarchical basis, R. Bank, R. K. Smith, SIAM
-J. Numer. Anal. 30, 1993, doi:10.1137/0730048). The last difference is what the chords of curves
-change. Contact is linearised at the solution, and an edge between an open node and a closed one
-counts as open. The signed sum is quoted; its parts with the diagonal in place of :math:`A_{MM}` say
-by absolute value where to refine. The sum of these values is .77 to 7.7 times the absolute value of
-the signed sum (17 goals on a bar, a dovetail and a bolted junction).
+J. Numer. Anal. 30, 1993, doi:10.1137/0730048). At new nodes that a support or an obstacle holds the
+error is known: g, what :math:`u_h` misses there of the prescribed value or of the gap. The last
+difference is what the chords of curves change. Contact is linearised at the solution, and an edge
+between an open node and a closed one counts as open. The signed sum is quoted; its parts with the
+diagonal in place of :math:`A_{MM}` say by absolute value where to refine. The sum of these values
+is .77 to 7.7 times the absolute value of the signed sum (17 goals on a bar, a dovetail and a
+bolted junction).
 
 R. Becker, R. Rannacher, Acta Numerica 10, 2001, doi:10.1017/S0962492901000010; with contact and
 friction linearised at the solution as in the semismooth Newton method. The sum does not contain
@@ -33,7 +35,12 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from adaptmg import _checks as checks
 from adaptmg._text import shortened
 from adaptmg._threads import one_blas_thread
-from adaptmg.estimate.adjoint import AdjointSolution, adjoint_system, error_spaces
+from adaptmg.estimate.adjoint import (
+    AdjointSolution,
+    LinearisedContact,
+    adjoint_system,
+    error_spaces,
+)
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.quantities import Functional, GoalView, Quantity, checked_functionals
 from adaptmg.estimate.stress_fields import solved
@@ -267,7 +274,8 @@ class HalvedError:
 
     ``new`` (n_new,) are the dofs of these nodes in which it may move, ``error`` (n_new,) the error
     from all equations of these dofs together, for signed estimates, and ``diagonal_error`` (n_new,)
-    that from each equation by itself, for marks, with the ``energies`` (n_new,), N m. ``view`` and
+    that from each equation by itself, for marks, with the ``energies`` (n_new,), N m. ``prescribed``
+    (n_dofs,) is the error g at other dofs, in local components. ``view`` and
     ``fine`` are the solution on its mesh and on the halved one, ``norm`` is its energy norm, sqrt(N m)."""
 
     def __init__(self, view: GoalView, fine: GoalView, norm: float) -> None:
@@ -278,8 +286,11 @@ class HalvedError:
         new = np.flatnonzero(trial & (np.arange(len(trial)) >= view.discrete.n_dofs))
         self.new = new
         self.test = sparse.csr_array(test[:, new].T)
-        # A_MM d = (b - A u_h)_M at the new dofs M, with T and H of the module adjoint at slipping nodes
-        load = self.test @ (contact.fixed_friction - contact.local(contact.residual))
+        self.prescribed = np.where(trial, 0.0, _missed(contact))
+        # A_MM d = (b - A (u_h + g))_M at the new dofs M, with T and H of the module adjoint at slipping nodes
+        load = self.test @ (
+            contact.fixed_friction - contact.local(contact.residual) - matrix @ self.prescribed
+        )
         matrix = sparse.csr_array(self.test @ matrix[:, new])
         diagonal = matrix.diagonal()
         self.diagonal_error = load / diagonal
@@ -307,27 +318,30 @@ class HalvedError:
         ``coarse`` and ``finer`` are the quantity on the mesh and on the halved one."""
         contact = self.fine.contact
         reaction = finer.vector - self.fine.discrete.matrix @ self.fine.interpolated(dual.field)
-        weighted = contact.local(reaction)[self.new]
+        weighted = contact.local(reaction)
         geometry = finer.value - coarse.value
         # 4/3 ((J' - A'z_h)_M . d + J_(h/2)(u_h) - J_h(u_h))
-        signed = _WHOLE * (float(weighted @ self.error) + geometry)
+        signed = _WHOLE * float(
+            weighted[self.new] @ self.error + weighted @ self.prescribed + geometry
+        )
         # marks depend on ratios alone: they need no factor 4/3
-        parts = np.abs(weighted * self.diagonal_error)
+        parts = np.abs(weighted * self.prescribed)
+        parts[self.new] = np.abs(weighted[self.new] * self.diagonal_error)
         if not dual.field.any() and coarse.vector[~self.view.discrete.fixed].any():
             # the contact state does not let the quantity change, but a finer mesh may have another state
             parts = self._energy_parts(coarse)
-        nodal = np.bincount(
-            self.new // contact.discrete.dim, parts, minlength=contact.discrete.n_nodes
-        )
+        nodal = parts.reshape(-1, contact.discrete.dim).sum(axis=1)
         return signed, nodal + abs(geometry) * self._chord_shares(finer)
 
     def _energy_parts(self, functional: Functional) -> np.ndarray:
-        """Return as parts (n_new,) of a quantity those of the energy; their sum is the change of the
+        """Return as parts (n_dofs,) of a quantity those of the energy; their sum is the change of the
         quantity by a relative error of the displacement as large as that of the energy."""
         displacement_size = np.abs(self.view.contact.unknowns).max(initial=0.0)
         largest_change = float(displacement_size * np.abs(functional.vector).sum())
         shares = self.energies / max(float(self.energies.sum()), np.finfo(float).tiny)
-        return shares * self.energy * largest_change
+        parts = np.zeros(self.fine.discrete.n_dofs)
+        parts[self.new] = shares * self.energy * largest_change
+        return parts
 
     def _chord_shares(self, finer: Functional) -> np.ndarray:
         """Return the shares (n_nodes,), with sum 1, of the new nodes in the error of the chords. At a
@@ -338,6 +352,17 @@ class HalvedError:
         errors = weights ** ((dim + 1) / (dim - 1))
         errors[: self.view.mesh.n_nodes] = 0.0
         return errors / max(float(errors.sum()), np.finfo(float).tiny)
+
+
+def _missed(contact: LinearisedContact) -> np.ndarray:
+    """Return what the interpolated displacement misses of prescribed values and, where bodies touch, of
+    the gap (n_dofs,), in local components, m; it matters where errors may not move."""
+    discrete = contact.discrete
+    missed = np.where(discrete.fixed, discrete.fixed_values - contact.unknowns, 0.0)
+    missed = contact.local(missed).reshape(-1, discrete.dim)
+    touches = (contact.state != State.OPEN) & np.isfinite(contact.gap)
+    missed[contact.nodes[touches], 0] = contact.gap[touches]
+    return missed.reshape(-1)
 
 
 def _on_elements(fine: GoalView, origin: np.ndarray, parts: np.ndarray) -> np.ndarray:

@@ -318,7 +318,9 @@ class Preload(Acting):
     body : str
         Name of the body, given by position or name.
     force : float
-        Tension across the cut, N (plane: N/m; axisymmetric: of the whole section), > 0.
+        Tension across the cut, N (plane: N/m; axisymmetric: of the whole section), > 0. Where
+        forces in the volume, as weight, pull along the bolt, the force is that in the middles of
+        the elements at the cut.
     axis : {"x", "y", "z"}
         The direction of the force; in axisymmetric problems "y".
     at : float, optional

@@ -363,8 +363,9 @@ class Quantities:
         or a master (its contact forces), or one of a tie, or any other boundary (reactions of its
         supports and springs), or "point (0, 1)" of a PointSpring. In 2D all is per metre. Forces on
         slave and master of a pair balance to rounding; their moments up to the lever between the
-        two discrete surfaces: 1e-8 to 1e-4 of force times size on curved ones, across whose gap the
-        mortar transmits each force without regard to its arm.
+        two discrete surfaces, across whose gap the mortar transmits each force without regard to
+        its arm: where these are curved, 1e-8 to 1e-4 of force times size without friction, and up
+        to 5e-3 in ties of unlike meshes (31 edges around a circle on 13).
 
         Examples
         --------

@@ -110,20 +110,18 @@ def test_limits_end_the_loop():
 
 
 def test_a_signed_estimate_that_is_far_off_is_not_settled():
-    problem = am.cases.hertz_cylinder()
-    # one or two nodes touch
-    coarse = am.Hierarchy.from_meshes(problem, [am.mesh.graded(problem.domain, 12.5e-3)])
+    # on coarse meshes one to three nodes touch
     found = loop(
-        problem,
-        coarse,
-        am.Goal(am.MeanDisplacement("upper.top", "y")),
-        max_nodes=900,
+        am.cases.curved_obstacle(radius=0.5),
+        10e-3,
+        am.Goal(am.PeakPressure("bottom")),
+        max_nodes=1000,
         mark=am.Doerfler(0.5),
     )
     exact = float(found[-1].estimate.corrected[0])
     ratios = np.array([step.estimate.signed / (exact - step.estimate.value) for step in found[:-1]])
     is_settled = np.array([step.settled for step in found[:-1]])
-    assert ((ratios < 0.4) | (ratios > 2.5)).any()
+    assert ((ratios[1:] < 0.5) | (ratios[1:] > 2)).any()
     assert ((ratios > 0.5) & (ratios < 2))[is_settled].all()
     assert not is_settled[0] and is_settled[-2:].all()
     assert ["not settled" in repr(step) for step in found[:-1]] == (~is_settled).tolist()

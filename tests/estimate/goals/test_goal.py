@@ -144,6 +144,71 @@ def test_what_a_support_prescribes_of_a_mean_has_no_error_at_any_angle():
     np.testing.assert_allclose(errors[1], errors[0], atol=1e-6 * size)
 
 
+@pytest.mark.parametrize(("turn", "size"), [(0.0, 1.0), (0.7, 1e-3)])
+def test_a_goal_sees_what_interpolated_supports_miss(turn, size):
+    """A field of third order on a floor, held at the top by a function."""
+    turn, shift, young, poisson, pressure = rotation(turn), np.array([0.3, -2.0]), 1e9, 0.3, 1e5
+    a = pressure / 20  # of the Airy function a (6 x^2 y^2 - x^4 - y^4) - pressure x^2 / 2
+    c = 12 * a * (1 + poisson) / young
+
+    def local(points):
+        return (points @ turn / size - shift).T
+
+    def top(points):
+        x, y = local(points)
+        u = np.column_stack([c * (x * y**2 - x**3 / 3), c * (x**2 * y - y**3 / 3)])
+        return size * (u + pressure / young * np.column_stack([poisson * x, -y])) @ turn.T
+
+    def sides(normal, points):
+        x, y = local(points)
+        return normal * np.column_stack([-12 * a * (x**2 - y**2), 24 * a * x * y]) @ turn.T
+
+    mesh = am.mesh.structured(am.Rectangle(width=2, height=0.5, origin=(-1, 0)), (16, 4))
+    mesh = dataclasses.replace(mesh, points=size * (mesh.points + shift) @ turn.T)
+    problem = am.ContactProblem(
+        material=am.PlaneStress(young=young, poisson=poisson),
+        law=am.Frictionless(),
+        contact=am.Contact("bottom", am.Plane(size * turn @ shift, turn[:, 1])),
+        loads=[
+            am.Traction(side, tuple(lambda x, n=n, k=k: sides(n, x)[:, k] for k in (0, 1)))
+            for side, n in (("left", -1), ("right", 1))
+        ],
+        supports=[am.Support("top", **{"xy"[k]: lambda x, k=k: top(x)[:, k] for k in (0, 1)})],
+    )
+    grids = am.Hierarchy.from_meshes(problem, [mesh])
+    estimate = am.Goal(am.ContactForce("bottom", "normal")).indicate(grids, am.solve(grids))
+    true = size * (2 * pressure - 8 * a) - estimate.value
+    assert estimate.signed == pytest.approx(true, rel=0.2)
+    assert abs(true) > 1e-4 * estimate.value
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-3])
+def test_a_goal_sees_what_interpolated_gaps_miss(size):
+    """Bending of a block pressed on a floor of the form to which it bends."""
+    young, poisson, pressure, curvature, height = 1e9, 0.3, 1e5, 1e-3, 0.5
+    bent = curvature / size  # v = -(k (x^2 + nu y^2) / 2 + pressure y / E)
+    domain = am.Rectangle(width=2 * size, height=height * size, origin=(-size, 3 * size))
+    problem = am.ContactProblem(
+        domain=domain,
+        material=am.PlaneStress(young=young, poisson=poisson),
+        law=am.Frictionless(),
+        contact=am.Contact("bottom", am.GapFunction(lambda x: 0.5 * bent * x[:, 0] ** 2)),
+        loads=[
+            am.Pressure("top", pressure),
+            *(
+                am.Traction(side, (lambda x, n=n: n * young * bent * (x[:, 1] - 3 * size), 0.0))
+                for side, n in (("left", -1), ("right", 1))
+            ),
+        ],
+        supports=[am.PointSupport((0, (3 + height) * size), x=0.0)],
+    )
+    grids = am.Hierarchy.uniform(problem, divisions=((16, 4),))
+    estimate = am.Goal(am.MeanDisplacement("top", "y")).indicate(grids, am.solve(grids))
+    exact = -size * (curvature * (1 / 3 + poisson * height**2) / 2 + pressure * height / young)
+    assert estimate.signed == pytest.approx(exact - estimate.value, rel=0.2)
+    assert abs(estimate.signed) > 1e-4 * abs(exact)
+
+
 def test_what_has_no_meaning_is_refused():
     zero, pair = am.Opening("bottom", (20e-3, 0.0)), solved(am.cases.dovetail(), sizes=(8e-3,))
     for quantity, on, words in (
