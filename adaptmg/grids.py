@@ -49,7 +49,7 @@ class Grids:
             if not fine.complete:
                 continue  # its prolongation is made of these levels when it is read
             shape = (fine.n_nodes, coarse.n_nodes)
-            if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
+            if not coarse.discretised and coarse.matrix.blocksize[0] == 1:
                 shape = (checks.shape_of(fine.matrix)[0], checks.shape_of(coarse.matrix)[0])
             prolongations = {"prolongation": fine.prolongation_or_none}
             if fine.surface_prolongation is not None:
@@ -60,7 +60,7 @@ class Grids:
                         f"levels[{k}].{name} must have shape {shape} (fine, coarse), got "
                         f"{None if matrix is None else matrix.shape}"
                     )
-        if levels[-1].discrete_or_none is None:
+        if not levels[-1].discretised:
             raise ValueError("the finest level has no DiscreteProblem")
         object.__setattr__(self, "levels", levels)
 
@@ -163,11 +163,7 @@ class Grids:
     def posed_on(self, level: Level) -> Posed | None:
         """Return the problem on the mesh of one of the levels, if there are both."""
         mesh = level.mesh
-        if (
-            not isinstance(self.problem, ContactProblem)
-            or mesh is None
-            or level.discrete_or_none is None
-        ):
+        if not isinstance(self.problem, ContactProblem) or mesh is None or not level.discretised:
             return None
         posed = level.posed
         alike = posed is not None and posed.problem is self.problem
@@ -177,7 +173,7 @@ class Grids:
     def discretised(self) -> bool:
         """Return whether every level poses the contact problem; else only ``Truncated`` without
         nested start serves."""
-        return all(level.discrete_or_none is not None for level in self.levels)
+        return all(level.discretised for level in self.levels)
 
     def need_discretised(self, what: str) -> None:
         """Raise ValueError unless every level poses the contact problem."""
@@ -235,7 +231,7 @@ class Grids:
     def _need_meshes(self, what: str) -> None:
         """Raise ValueError unless all levels are made of meshes."""
         if self.problem is None or any(
-            level.mesh is None or level.discrete_or_none is None for level in self.levels
+            level.mesh is None or not level.discretised for level in self.levels
         ):
             raise ValueError(
                 f"{what}: these levels ({self.origin}) are not made of meshes of a problem; make "
@@ -259,9 +255,7 @@ class Grids:
             {
                 "level": k,
                 "nodes": level.n_nodes,
-                "contact_nodes": len(level.discrete.contact)
-                if level.discrete_or_none is not None
-                else 0,
+                "contact_nodes": len(level.discrete.contact) if level.discretised else 0,
                 "nonzeros": level.nonzeros,
             }
             for k, level in enumerate(self.levels)

@@ -137,6 +137,11 @@ class Level:
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     @property
+    def discretised(self) -> bool:
+        """Return whether the problem is discretised on this grid; else it is only a coarse space."""
+        return self.discrete_or_none is not None
+
+    @property
     def discrete(self) -> DiscreteProblem:
         """Return the problem discretised on this grid; ValueError for a coarse space without
         one."""
@@ -160,22 +165,20 @@ class Level:
     @property
     def matrix(self) -> sparse.bsr_array:
         """Return the discretised matrix, or the Galerkin one of a coarse space."""
-        coarse = self.galerkin if self.discrete_or_none is None else None
+        coarse = None if self.discretised else self.galerkin
         return self.discrete.matrix if coarse is None else coarse
 
     @property
     def n_nodes(self) -> int:
         """Return the number of nodes; of a coarse space of the rows of blocks of its matrix."""
-        if self.discrete_or_none is not None:
-            return self.discrete_or_none.n_nodes
+        if self.discretised:
+            return self.discrete.n_nodes
         return checks.shape_of(self.matrix)[0] // self.matrix.blocksize[0]
 
     @property
     def nonzeros(self) -> int:
         """Return the number of stored entries of the matrix."""
-        if self.discrete_or_none is not None:
-            return self.discrete_or_none.rows.nonzeros
-        return self.matrix.nnz
+        return self.discrete.rows.nonzeros if self.discretised else self.matrix.nnz
 
     def prolong(self, u: ArrayLike) -> np.ndarray:
         """Return values on this level from those on the next coarser one (primal): P u.

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar, overload
+from typing import Any
 
 import numpy as np
 
@@ -16,14 +16,8 @@ import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, write_bytes
 
-_Plain = TypeVar("_Plain")
 
-
-@overload
-def finite(value: dict[str, _Plain]) -> dict[str, object]: ...
-@overload
-def finite(value: object) -> object: ...
-def finite(value: object) -> object:
+def finite(value: object) -> Any:
     """Return plain values for JSON: numbers that are not finite become None, tuples lists."""
     if isinstance(value, dict):
         return {key: finite(part) for key, part in value.items()}

@@ -102,9 +102,11 @@ def assembled(
         "name": f"{problem.name}, {mesh.n_nodes} nodes",
         "inelastic": problem.inelastic,
     }
-    parts["volumes"] = Volumes.none(mesh.n_nodes, mesh.dim)
-    if problem.elements == "smoothed":
-        parts["volumes"] = volume_groups(mesh, materials)
+    parts["volumes"] = (
+        volume_groups(mesh, materials)
+        if problem.elements == "smoothed"
+        else Volumes.none(mesh.n_nodes, mesh.dim)
+    )
     if problem.inelastic and len(parts["volumes"]):
         raise ValueError(
             "smoothed elements of elastic bodies next to plastic ones must have poisson of at most "

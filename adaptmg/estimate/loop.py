@@ -202,9 +202,11 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
     values, errors = _values_and_errors(estimate)
     old_values, old_errors = _values_and_errors(before)
     # the change of the corrected values; another number of quantities cannot be compared
-    change = np.inf
-    if values.shape == old_values.shape:
-        change = np.abs(values + errors - old_values - old_errors)
+    change = (
+        np.abs(values + errors - old_values - old_errors)
+        if values.shape == old_values.shape
+        else np.inf
+    )
     same_sign = errors * old_errors > 0
     return bool((same_sign & (change <= np.abs(errors))).all())
 

@@ -530,7 +530,7 @@ class Guide:
         small_levels = [
             number
             for number, level in enumerate(levels)
-            if level.discrete_or_none is not None and level.discrete.n_dofs <= _GUIDING
+            if level.discretised and level.discrete.n_dofs <= _GUIDING
         ]
         self.finest_number = len(levels) - 1
         #: number of the level on which motions are found

@@ -66,8 +66,7 @@ class PathLoop:
         coarse = zip(self.posed[:-1], grids.levels[:-1], strict=True)
         #: None where a level is only a space
         self.loads = [
-            None if level.discrete_or_none is None else _loads(posed, level)
-            for posed, level in coarse
+            _loads(posed, level) if level.discretised else None for posed, level in coarse
         ]
         self.loads.append(self.finest_loads)
         self.controls = Controls(problem, grids.finest)
@@ -402,7 +401,7 @@ def _posed_with_names(grids: Grids) -> list[Posed | None]:
     mesh."""
     posed = [grids.posed_on(level) for level in grids.levels]
     named = all(
-        posed_level is not None or level.discrete_or_none is None
+        posed_level is not None or not level.discretised
         for posed_level, level in zip(posed, grids.levels, strict=True)
     )
     return posed if named else [None] * len(posed)

@@ -297,10 +297,10 @@ class _Deck:
 
     def _pair(self, block: _Block) -> None:
         """Note the slave and the master of each line of *CONTACT PAIR."""
-        for row in block.rows():
-            self.notes.append(
-                f"contact pair: {', '.join(map(self._spelt, map(str.upper, row[:2])))}"
-            )
+        self.notes += [
+            f"contact pair: {', '.join(map(self._spelt, map(str.upper, row[:2])))}"
+            for row in block.rows()
+        ]
 
     def _spelt(self, name: str) -> str:
         """Return a name as the deck spells it where it comes first."""

@@ -674,9 +674,11 @@ def read_meshio(path: str) -> MeshioTables:
         raise ValueError(f"meshio does not know its {error}") from None
     except (SystemExit, meshio.ReadError) as error:
         # meshio prints what its readers of the suffix say, and ends the process
-        cause = "it has no reader for the suffix"
-        if isinstance(error, SystemExit):
-            cause = printed.getvalue().strip() or "it is not what the suffix says"
+        cause = (
+            printed.getvalue().strip() or "it is not what the suffix says"
+            if isinstance(error, SystemExit)
+            else "it has no reader for the suffix"
+        )
         raise ValueError(f"meshio does not read it ({cause}); it begins with {begins!r}") from None
     of_gmsh = "gmsh:geometrical" in raw.cell_data
     sets, node_sets = _sets_of(raw)

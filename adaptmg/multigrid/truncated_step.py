@@ -157,9 +157,11 @@ class TruncatedStep:
     def _set_load(self, problem: DiscreteProblem) -> None:
         """Store the load of a problem, and the motions that only contact holds."""
         self.load = problem.load_from_prescribed()
-        self.motions = None
-        if self.options.rigid_motions:
-            self.motions = RigidMotions.of(problem, self.contact, self.load)
+        self.motions = (
+            RigidMotions.of(problem, self.contact, self.load)
+            if self.options.rigid_motions
+            else None
+        )
 
     def begin(self, iterate: np.ndarray) -> TruncatedState:
         """Return the state of a start (n_unknowns,), which is made admissible in place."""

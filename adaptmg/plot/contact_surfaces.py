@@ -107,9 +107,8 @@ def contact(
         ]
     for name, drawn in zip(names, panels, strict=True):
         (_draw_surface if solid else _draw_lines)(result, name, drawn)
-        title = pair_name(result.contact, name)
-        if len(names) == 1:
-            title = style.titled(result.problem_name, title)
+        pair = pair_name(result.contact, name)
+        title = style.titled(result.problem_name, pair) if len(names) == 1 else pair
         drawn[0].set_title(title, wrap=True)
         drawn[0].figure.align_ylabels()
     figure = style.figure_of(panels[0][0])

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal, TypeVar, overload
+from typing import Annotated, ClassVar, TypeVar, cast
 
 import numpy as np
 
@@ -59,10 +59,6 @@ class Domain(checks.Checked):
         return self._extremes().max(axis=0)
 
 
-@overload
-def corner(name: str, value: object, dim: Literal[2]) -> tuple[float, float]: ...
-@overload
-def corner(name: str, value: object, dim: int) -> tuple[float, ...]: ...
 def corner(name: str, value: object, dim: int) -> tuple[float, ...]:
     """Return ``value`` as ``dim`` finite numbers."""
     return tuple(map(float, checks.vector(name, value, dim)))
@@ -160,7 +156,9 @@ def _vertices(name: str, value: object) -> tuple[tuple[float, float], ...]:
 def _arcs(name: str, value: Mapping[int, tuple[float, float]]) -> dict[int, tuple[float, float]]:
     """Return the centres of arcs by the number of the edge, in ascending order, checked."""
     arcs = {
-        checks.integer("the edge number in arcs", i): corner(f"arcs[{i}]", centre, 2)
+        checks.integer("the edge number in arcs", i): cast(
+            "tuple[float, float]", corner(f"arcs[{i}]", centre, 2)
+        )
         for i, centre in checks.mapping(name, value, "edge numbers to centres").items()
     }
     return dict(sorted(arcs.items()))

@@ -307,11 +307,11 @@ class Evidence:
         self.fixed = problem.fixed.reshape(self.u.shape)
         self.unknowns = problem.relative(self.u)  # w, between bodies relative
         load = problem.volumes.balanced(problem.load, pressures)
-        if residual is None:
-            residual = load - problem.rows.times(self.unknowns.reshape(-1))
-        self.residual = residual
+        self.residual = (
+            load - problem.rows.times(self.unknowns.reshape(-1)) if residual is None else residual
+        )
         # w'Aw = w . (f - r); where bodies expand freely only the stresses have energy
-        energy = _sum(self.unknowns, load - residual) + problem.volumes.energy(pressures)
+        energy = _sum(self.unknowns, load - self.residual) + problem.volumes.energy(pressures)
         self.energy_norm = float(
             np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0)))
         )
@@ -355,9 +355,11 @@ class Evidence:
         problem = self.problem
         tied = problem.fixed & ~problem.held
         # zero without memory where nothing is tied
-        self.tying = np.broadcast_to(0.0, problem.n_dofs)
-        if tied.any():
-            self.tying = np.where(tied, -self.residual, 0.0)
+        self.tying = (
+            np.where(tied, -self.residual, 0.0)
+            if tied.any()
+            else np.broadcast_to(0.0, problem.n_dofs)
+        )
         borne = -self.residual - self.tying
         self.unexplained = problem.physical_forces(borne).reshape(self.u.shape)
         self.unexplained[self.nodes] -= self.claimed
