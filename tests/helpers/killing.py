@@ -16,11 +16,14 @@ import psutil
 __all__ = ["campaign"]
 
 SCRIPT = """
-import sys
+import ctypes, os, sys
 import adaptmg as am
 from adaptmg.study import Study
 
 def run(friction, divisions):
+    number = round((friction - 0.1) / 0.025) + divisions // 64
+    if number >= int(os.environ["ENDING_RUNS"]):
+        ctypes.PyDLL(None).sleep(600)  # keeps Python's lock, as compiled code may
     grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8, 16, divisions))
     result = am.solve(grids, am.FullMultigrid(), throw=False)
     return {"cycles": result.cycles, "work_units": result.work_units, "residual": result.residual,
@@ -33,8 +36,8 @@ study.run(workers=int(sys.argv[3]) or None, progress=False)
 
 
 def campaign(runs: int, kills: int, seed: int = 0) -> dict[str, object]:
-    """Kill all processes, or a worker and then the main process, in turn, each after one more run
-    is stored; then finish, and compare with a serial run."""
+    """Kill a worker and then the main process, or all processes, in turn, each after one more run is
+    stored and while others go on; then finish, and compare with a serial run."""
     chance, left = random.Random(seed), []
     with tempfile.TemporaryDirectory() as folder:
         script, killed, serial = (
@@ -45,9 +48,9 @@ def campaign(runs: int, kills: int, seed: int = 0) -> dict[str, object]:
             process = _in_the_middle(script, killed, runs, k)
             time.sleep(chance.uniform(0.0, 0.1))
             children = _children(process)
-            if k % 2 and children:
-                with contextlib.suppress(psutil.NoSuchProcess):
-                    chance.choice(children).kill()
+            if k % 2 == 0:
+                workers = [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+                chance.choice(workers).kill()
                 time.sleep(chance.uniform(0.0, 1.0))
                 children += _children(process)
                 process.kill()
@@ -55,7 +58,7 @@ def campaign(runs: int, kills: int, seed: int = 0) -> dict[str, object]:
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             left += psutil.wait_procs(children, timeout=10)[1]
-        last = [_started(script, killed, runs, 2), _started(script, serial, runs, 0)]
+        last = [_started(script, path, runs, n) for path, n in ((killed, 2), (serial, 0))]
         assert [process.wait() for process in last] == [0, 0]
         found, wanted = (_bits(path) for path in (killed, serial))
         return {
@@ -65,11 +68,15 @@ def campaign(runs: int, kills: int, seed: int = 0) -> dict[str, object]:
         }
 
 
-def _started(script: Path, path: Path, runs: int, workers: int) -> subprocess.Popen:
+def _started(
+    script: Path, path: Path, runs: int, workers: int, ending: int | None = None
+) -> subprocess.Popen:
+    """Start the study, of which only the first ``ending`` runs end."""
     return subprocess.Popen(
         [sys.executable, str(script), str(path), str(runs), str(workers)],
         stderr=subprocess.DEVNULL,
         start_new_session=True,
+        env=os.environ | {"ENDING_RUNS": str(runs if ending is None else ending)},
     )
 
 
@@ -82,14 +89,11 @@ def _children(process: subprocess.Popen) -> list[psutil.Process]:
 def _in_the_middle(script: Path, path: Path, runs: int, count: int) -> subprocess.Popen:
     """Start the study, and return its process when more than ``count`` runs are stored and others
     go on."""
-    for _ in range(5):
-        process = _started(script, path, runs, 2)
-        while process.poll() is None:
-            if count < len(_records(path)) < runs:
-                return process
-            time.sleep(0.02)
-        path.unlink()  # all was done: begin again
-    raise AssertionError("the study always ended before it could be killed")
+    process = _started(script, path, runs, 2, ending=count + 1)
+    while len(_records(path)) <= count:
+        assert process.poll() is None
+        time.sleep(0.05)
+    return process
 
 
 def _records(path: Path) -> dict:
