@@ -284,7 +284,6 @@ def legends_inside(legends: Mapping[Axes, Sequence[Artist]]) -> None:
     for ax, legend in placed.items():
         if legend.get_window_extent().width > ax.get_window_extent().width:
             placed[ax] = _inside(ax, legends[ax], 1)
-    figure.draw_without_rendering()
     for ax, legend in placed.items():
         # the drawing ends below the legend and a margin of .05, but keeps .3 of the height
         share = legend.get_window_extent().height / ax.get_window_extent().height
