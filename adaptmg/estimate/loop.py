@@ -453,13 +453,16 @@ class AdaptiveLoop:
         return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {max_nodes} are allowed"
 
     @one_blas_thread()
-    def _grown(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, Result]:
-        """Return the hierarchy with a finer mesh, and the last result interpolated to it as start."""
+    def _grown(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, Result | None]:
+        """Return the hierarchy with the next mesh, and the last result interpolated to it as start; a load
+        path begins without."""
         self._report("assembly", mesh.n_nodes)
         before = last.hierarchy
         with self.clock.phase("levels"):
             grown = appended(before, mesh, self.parts.engine)
-            start = carried(grown, len(before) - 1, last.result)
+            start = None
+            if self.parts.load_path is None:
+                start = carried(grown, len(before) - 1, last.result)
             grown = thinned(grown, last=self._is_near_limit(mesh.n_nodes))
         # the seconds of the phases of the hierarchy are not those of choosing levels; compiling is not a
         # phase, and the clock has counted it
@@ -635,6 +638,19 @@ def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarch
         ):
             break
         hierarchy = hierarchy.append(middle)
+    return on_coarser_levels(hierarchy, mesh)
+
+
+def on_coarser_levels(hierarchy: Hierarchy, mesh: MeshArrays) -> Hierarchy:
+    """Return the levels with fewer nodes than a mesh, and the mesh as the finest one. Between load steps a
+    mesh may have as many nodes as the one before, or fewer."""
+    n_coarser = sum(level.n_nodes < mesh.n_nodes for level in hierarchy)
+    if n_coarser == 0:
+        return Hierarchy.from_meshes(
+            hierarchy.problem, [mesh], hierarchy.transfer, hierarchy.contact_rows
+        )
+    if n_coarser < len(hierarchy):
+        hierarchy = hierarchy.truncated(finest=n_coarser - 1)
     return hierarchy.append(mesh)
 
 
@@ -760,8 +776,8 @@ def restored(before: Hierarchy, meshes: Sequence[MeshArrays]) -> Hierarchy:
     present = [_key(need_mesh(level)) for level in before.levels]
     for key, mesh in zip(stored, meshes, strict=True):
         if key not in present:
-            before = before.append(sound_by_construction(check_mesh(mesh)))
-            present.append(key)
+            before = on_coarser_levels(before, sound_by_construction(check_mesh(mesh)))
+            present = [_key(need_mesh(level)) for level in before.levels]
     for level in reversed([k for k, key in enumerate(present) if key not in stored]):
         before = before.without(level)
     return before

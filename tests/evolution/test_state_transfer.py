@@ -280,6 +280,28 @@ def test_elastic_bodies_with_friction_are_followed_on_several_meshes():
         )
 
 
+@pytest.mark.parametrize("engine", [am.Bisect(), am.Remesh()], ids=repr)
+def test_meshes_along_a_path_may_have_as_many_nodes_or_fewer(engine, tmp_path):
+    """The estimate changes from load step to load step, and the number of nodes is nearly used."""
+    shear = am.Traction("top", (2e5, 0.0), name="shear")
+    problem = replace(
+        am.cases.greco_bar(law=am.Coulomb(0.3)), loads=(am.Pressure("top", 1e6), shear)
+    )
+    path = am.LoadPath({"shear": [0, 1, -0.5, 0.5, 0.9, 0.3]})
+    options = {"load_path": path, "remesh_every": 1, "max_nodes": 130, "engine": engine}
+    steps = list(am.adapt(problem, 8e-3, store=tmp_path, **options))
+    nodes = np.array([step.nodes for step in steps])
+    assert len(steps) == len(path) and (np.diff(nodes) <= 0).any() and (np.diff(nodes) > 0).any()
+    again = list(am.adapt(problem, 8e-3, store=tmp_path, **options))
+    assert [step.nodes for step in again] == nodes.tolist()
+    for step in steps:
+        sizes = [level.n_nodes for level in step.hierarchy]
+        assert sizes == sorted(set(sizes))
+    # forces on the last mesh balance the load
+    forces = [steps[-1].result.resultant(name).force for name in ("contact", "right")]
+    np.testing.assert_allclose(sum(forces), 0.04 * np.array([-0.3 * 2e5, 1e6]), atol=4.0)
+
+
 def test_what_is_refused():
     plain = pressed("plane")
     meshes = blocks("plane", [3, 5])
