@@ -225,7 +225,7 @@ class AMG:
         with seeded():
             hierarchy = pyamg.smoothed_aggregation_solver(
                 # pyamg 5.2 smooths matrices with indices of 32 bits only
-                checks.narrowed(sparse.bsr_matrix(basis)),
+                sparse.bsr_matrix(checks.narrowed(basis)),
                 B=near_nullspace,
                 symmetry="symmetric",
                 strength=("symmetric", {"theta": 0.0}),  # pyright: ignore[reportArgumentType]  pyamg has no stubs
