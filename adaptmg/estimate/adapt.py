@@ -324,6 +324,7 @@ def _hierarchy_of_size(
             f"start must be at least {least_size:.2g} m for max_nodes={max_nodes}, got "
             f"{size:g}: its mesh has about {nodes:.2g} nodes"
         )
+    # an engine's first mesh is made for one size; only the default one is finer at contact
     first_mesh = getattr(engine, "first", None)
     with _naming_start():
         mesh = cast("MeshLike | None", first_mesh(problem, size) if callable(first_mesh) else None)

@@ -231,8 +231,8 @@ class AdjointSystem:
         for functional in functionals:
             load = self._load(functional)
             norms = []
-            # scipy tests the preconditioned residual: its tolerance is tightened until the true one
-            # is small
+            # scipy tests the preconditioned residual: where the true one is larger than ``rtol``, GMRES
+            # goes on from its result to a tenth of the tolerance, at most twice
             y = np.zeros(n)
             tolerance = rtol
             for _ in range(3):
@@ -242,7 +242,7 @@ class AdjointSystem:
                     x0=y,
                     rtol=tolerance,
                     atol=0.0,
-                    restart=min(max_iterations, 30),
+                    restart=min(max_iterations, 30),  # iterations to a restart
                     maxiter=max(1, max_iterations // 30),  # restarts
                     M=preconditioner,
                     callback=norms.append,

@@ -193,7 +193,7 @@ class Bisect:
         large squared errors ``squares`` (n_elements,) twice unless the mesh then exceeds the limit
         of nodes."""
         fine = refined(mesh, chosen)
-        # of each child: eta^2 ~ h^2 |T|
+        # the square of each child, whose edges are half as long, by eta^2 ~ h^2 |T|
         left_by_one_halving = 2.0 ** -(2 + mesh.dim) * squares
         # twice where a child keeps half of the mean square, and half of the least that is halved
         large = max(squares.mean(), squares[chosen].min())
@@ -208,7 +208,8 @@ class Bisect:
     ) -> MeshArrays | None:
         """Return the mesh refined at the marked elements with the largest squares, as many as the limit
         of nodes allows; None if it allows not even one. The number is found by bracketing: ``fits``
-        elements are within the limit, ``exceeds`` elements beyond it."""
+        elements are within the limit, ``exceeds`` elements beyond it. Without a limit (inf) the first
+        trial has all marked elements, and is the last one."""
         order = np.flatnonzero(marked)
         order = order[np.argsort(-squares[order], kind="stable")]
         allowed = limit - mesh.n_nodes
@@ -218,7 +219,7 @@ class Bisect:
         count = len(order)
         added = _ADDED[mesh.dim] * count  # expected
         for _ in range(_TRIES if allowed > 0 else 0):
-            # added ~ count^_POWER
+            # the count whose halving adds _AIM of the allowed nodes, as added ~ count^_POWER
             aim = count * (_AIM * allowed / added) ** (1 / _POWER)
             count = int(min(max(aim, fits + 1), exceeds - 1))
             chosen = mask_of(order[:count], len(marked))
@@ -229,7 +230,7 @@ class Bisect:
                 best = fine
             else:
                 exceeds = count
-            # as far below the aim as the aim is below the limit
+            # within the limit, and at most as far below the aim, _AIM * allowed, as this is below the limit
             close = (2 * _AIM - 1) * allowed <= added <= allowed
             if exceeds <= fits + 1 or close:
                 break
@@ -301,11 +302,12 @@ class Remesh(checks.Checked):
         sizes = self._equilibrated(
             problem, mesh, estimate, _nodes_to_aim_at(mesh.n_nodes, max_nodes, self.growth)
         )
-        factors = (sizes / nodal_sizes(mesh, simplex_sizes(mesh)))[mesh.elements].min(axis=1)
+        # new over old size (n_elements,), the least one of the corners
+        size_ratios = (sizes / nodal_sizes(mesh, simplex_sizes(mesh)))[mesh.elements].min(axis=1)
         # much of the error lies in elements that are to become much smaller
         if (
             self.growth > _SLOW
-            and estimate.squares[factors < _STEEP].sum() > _SHARE * estimate.squares.sum()
+            and estimate.squares[size_ratios < _STEEP].sum() > _SHARE * estimate.squares.sum()
         ):
             sizes = self._equilibrated(
                 problem, mesh, estimate, _nodes_to_aim_at(mesh.n_nodes, max_nodes, _SLOW)
@@ -465,6 +467,7 @@ class Grading:
 
     def __init__(self, mesh: MeshArrays, growth: float) -> None:
         n = mesh.n_nodes
+        # both ends of the edges of all elements; then of each edge once
         i, j = (mesh.elements[:, corners].ravel() for corners in np.triu_indices(mesh.dim + 1, 1))
         i, j = np.divmod(np.unique(pair_keys(np.minimum(i, j), np.maximum(i, j), n)), n)
         weights = growth * np.linalg.norm(mesh.points[i] - mesh.points[j], axis=1)
@@ -511,7 +514,7 @@ class SizeField:
 
 
 def mean_sizes(coarse: MeshArrays, fine: MeshArrays, growth: float) -> SizeField:
-    """Return the geometric mean of the sizes of two meshes."""
+    """Return the geometric mean of the sizes of two meshes, at the nodes of the fine one, graded."""
     of_coarse = SizeField(coarse, nodal_sizes(coarse, simplex_sizes(coarse)))
     sizes = nodal_sizes(fine, simplex_sizes(fine))
     for index, body in enumerate(fine.bodies):

@@ -396,7 +396,7 @@ def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         facets = surface.facets
         normals = surface.normals
         rule, at, weights = integration(mesh.points, facets, surface.measures, stress.axisymmetric)
-        # g + t_h - sigma_h n, with g the loads and springs, -k_n u_n n - k_t u_t
+        # g + t_h - sigma_h n (n_facets, n_points, dim), with g the loads and springs, -k_n u_n n - k_t u_t
         residual = -stress.tractions(elements, normals, facets, rule)
         for load in state.problem.loads:
             if isinstance(load, Pressure | Traction) and load.boundary == name:
@@ -409,7 +409,7 @@ def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
                 residual -= np.einsum(
                     "fqij,qk,fkj->fqi", stiffness, rule, state.result.displacement[facets]
                 )
-        # a support bears any traction along the directions that it holds
+        # a support bears any traction along the orthonormal directions (n_held, dim) that it holds
         held = supports.get(name, np.empty((0, mesh.dim)))
         residual -= residual @ held.T @ held
         # h_F / E |residual|^2
@@ -419,6 +419,7 @@ def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
             * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
         )
         total = contact if name in touching else plain
+        # in place: in ``contact`` or ``plain``
         total += np.bincount(
             elements, weights=np.where(outside, squares, 0.0), minlength=len(total)
         )

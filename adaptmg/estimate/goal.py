@@ -289,8 +289,9 @@ class HalvedError:
         self.new = new
         self.test = sparse.csr_array(test[:, new].T)
         self.prescribed = np.where(trial, 0.0, _missed(contact))
-        # A_MM d = (b - A (u_h + g))_M at the new dofs M, with T and H of the module adjoint at slipping nodes
-        # by the whole A: ``matrix`` has no columns of dofs that supports hold
+        # the equations A_MM d = (b - A (u_h + g))_M of the new dofs M are, with T and H of
+        # adaptmg.estimate.adjoint at slipping nodes, T'(A + H)_MM d = T'(fixed friction - (A u_h - b) - A g).
+        # A g takes the matrix of the problem, as ``matrix`` is decoupled from the dofs that supports hold
         change = contact.discrete.matrix @ contact.cartesian(self.prescribed)
         load = self.test @ (contact.fixed_friction - contact.local(contact.residual + change))
         matrix = sparse.csr_array(self.test @ matrix[:, new])

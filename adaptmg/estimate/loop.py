@@ -219,7 +219,8 @@ def _values_and_errors(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _is_exact(estimate: Estimate) -> bool:
-    """Return whether an estimate is rounding."""
+    """Return whether the sum of squares of an estimate is rounding, next to the square of the energy
+    norm or, of a goal, to its value."""
     # solutions that are linear: solves to RTOL leave 6e-13 of the square of the norm in patch tests
     rounding = (
         (checks.SIX_DIGITS * estimate.norm) ** 2

@@ -247,8 +247,9 @@ class Solved:
     def norm(self) -> float:
         """Return ||u_h||_A, sqrt(N m), of the displacement with prescribed values."""
         unknowns, forces = self._unknowns_and_forces  # u, and A'u + (B (I - Z))'p
-        # u'Au = u'A'u - 2 u . load + constant where inclined supports prescribe ubar along Z (see
-        # discrete.supports); ``strain_free`` has the two terms, without those of initial strains
+        # where inclined supports prescribe ubar along Z, the matrix is A' (adaptmg.discrete.supports), and
+        # u'Au = u'A'u - 2 u . load + constant. Asked without terms of initial strains, ``strain_free`` has
+        # this load and constant; like ``volumes`` it follows from u alone, whatever load is passed
         parts = self.discrete.parts_under(
             forces, unknowns, strain_free=None, volumes=self.discrete.volumes
         )
@@ -488,6 +489,7 @@ def _contact_forces(
             if not master:
                 mass[at] = np.maximum(mass[at], contact.weights[rows])
         if name in (slave, master):
+            # forces on nodes without a condition: of the master, or of the slave where ``name`` is that
             rows = (contact.master_boundary == k) & (contact.master_is_slave == (slave == name))
             at = np.searchsorted(nodes, contact.master_node[rows])
             force[at] += contact.master_force[rows]

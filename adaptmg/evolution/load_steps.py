@@ -128,8 +128,8 @@ def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
 
 def coarse_displacements(hierarchy: Grids, displacement: np.ndarray) -> list[np.ndarray]:
     """Return a displacement (n_dofs,) of the finest level on all levels, coarsest first: on each the one
-    whose interpolation is nearest to that of the next finer level. Only the finest of spaces that are
-    not discretised."""
+    whose interpolation is nearest to that of the next finer level. Where coarse levels are only spaces,
+    which have no displacements, the list has that of the finest level alone."""
     result = [displacement]
     for level in reversed(hierarchy.levels[1:] if hierarchy.discretised else ()):
         columns = result[0].reshape(level.n_nodes, -1).T
@@ -387,7 +387,7 @@ class Controls:
         force = float(np.linalg.norm(np.nan_to_num(targets[:dim])))
         nodes = mesh.surface(problem.contact[number].boundary).nodes
         extent = float(np.linalg.norm(np.ptp(mesh.points[nodes], axis=0)))
-        is_rotation = np.arange(3 * dim - 3)[free] >= dim
+        is_rotation = np.arange(3 * dim - 3)[free] >= dim  # of 3 or 6 motions, translations first
         arms = np.where(is_rotation, extent, 1.0)
         return _Unknowns(
             obstacle.name,

@@ -257,6 +257,7 @@ class _Newton:
         with self.recorder.phase("tangent"):
             tangent = self.plastic.linearised(self.problem, self.response)
             grids = self.grids
+            # coarse levels that are only spaces have Galerkin products, here of the tangent
             if not grids.discretised:
                 coarse = [level.prolongation for level in grids.levels[1:]]
                 made = Grids.from_prolongations(tangent, coarse)
@@ -278,7 +279,7 @@ class _Newton:
                 changed["max_cycles"] = min(_CYCLES, solver.max_cycles)
             solver = replace(cast("Any", solver), **changed)
         run = self.recorder
-        run.first_cycle = self.cycles
+        run.first_cycle = self.cycles  # the history counts the cycles of all contact problems
         # only the last contact problem needs a certificate
         run.examiner = self.examiner if is_last else None
         outcome = solver.run(grids, run, None if unloaded else start)
@@ -300,7 +301,7 @@ class _Newton:
         forces += tangent.inclined.reaction(solution, NO_PRESSURES)
 
         def slope(response: Response) -> float:
-            """Return phi' of the module."""
+            """Return phi' of the module, d . (f_int - f - lambda): ``missed`` is f - f_int."""
             return -float(direction @ (response.missed + forces))
 
         with self.recorder.phase("tangent"):

@@ -194,6 +194,7 @@ class _Side:
         if not self.smoothed:
             return self.elements[cast("InelasticBodies", self.plastic_bodies).numbers]
         number = edges_of_elements(self.posed.mesh)
+        # the patch of a cell is its edge: an element has one cell an edge, in space two
         of_cells = np.repeat(number, len(self.cells.elements) // number.size, axis=1).reshape(-1)
         bodies = cast("InelasticBodies", self.plastic_bodies)
         return _members(of_cells, bodies.n_patches)[bodies.numbers]

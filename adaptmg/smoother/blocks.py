@@ -285,7 +285,7 @@ def minus_row(i, origin, step, indptr, indices, data, w, r):
     ahead = np.int64(data.ctypes.data) + step * AHEAD
     for entry in range(end - begin):
         k = np.uint64(first + step * entry)
-        prefetch(np.uintp(ahead + np.int64(8 * dim * dim * k)))
+        prefetch(np.uintp(ahead + np.int64(8 * dim * dim * k)))  # 8 bytes a number
         r = subtract(
             r, times(data, dim * dim * k, read(w, dim * table_column(origin, indices, k), r))
         )

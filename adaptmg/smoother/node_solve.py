@@ -122,8 +122,10 @@ def solve_2d(
     friction: float,
     compliance: float = 0.0,
 ) -> tuple[float, float]:
-    """Solve the problem of one node in 2D and return (w_n, w_t): try open, then stick, then
-    slip."""
+    """Solve the problem of one node in 2D and return (w_n, w_t): try open, then stick, then slip. In the
+    letters of the module, ``m_nn``, ``m_nt`` and ``m_tt`` are the entries of M, ``c_n`` and ``c_t`` those
+    of c, ``gap`` is g_0, ``reference`` the w_t of zero slip, ``limit`` s, ``friction`` mu and
+    ``compliance`` e."""
     # from here on the tangential unknown is the slip
     c_n -= m_nt * reference
     c_t -= m_tt * reference
@@ -182,7 +184,8 @@ def solve_3d(
     friction: float,
     compliance: float = 0.0,
 ) -> tuple[float, float, float]:
-    """Solve the problem of one node in 3D and return (w_n, w_1, w_2)."""
+    """Solve the problem of one node in 3D, with tangents 1 and 2, and return (w_n, w_1, w_2); arguments
+    are named as of :func:`solve_2d`."""
     if m_11 < 0.0:
         # a support holds the first tangent, along which the node slips by -reference_1
         if reference_1 == 0.0:

@@ -410,7 +410,7 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
         above = problem.contact.normals[:, 0] > 0
         lowest = -np.where(above, problem.contact.opposite_gaps, gap)
         gap = np.where(above, gap, problem.contact.opposite_gaps)
-    # fixed components are tangents but for the rounding of normals; scalar problems fix none here
+    # only tangents are fixed here: along normals prescribed values are rounding, in scalar problems 0
     gap = gap - prescribed[:, 0]
     compliance = problem.contact.compliance
     layer = Layer.of(problem, gap)

@@ -149,29 +149,30 @@ def between_levels(
     """Return prolongations between the discretisations of one problem on two meshes: that of
     ``transfer``, with other rows on crack faces and (``contact_rows``) on contact boundaries, and
     from it the two forms for relative values (module docstring)."""
-    known = without_search(coarse, fine) if type(transfer) is Interpolation else None
-    if known is None:
+    # interpolation between structured or bisected meshes, whose rows interpolate along the boundaries, too
+    embedding = without_search(coarse, fine) if type(transfer) is Interpolation else None
+    if embedding is None:
         nodal = _checked_prolongation(transfer, coarse, fine)
     else:
-        nodal = known
+        nodal = embedding
         checks.freeze(nodal.indices, nodal.indptr)
     contact = fine_problem.contact
     coupling = fine_problem.coupling
     if coupling is not None:
         _check_bodies(nodal, coarse, fine, transfer)
     slave_nodes = [contact.nodes[contact.boundary == k] for k in range(len(contact.names))]
-    # for each contact boundary its slave nodes, and their rows of interpolation along the coarse one; without
-    # a search interpolation is that along the boundary, and few problems need its rows apart
+    # for each contact boundary its slave nodes, and their rows of interpolation along the coarse one; those
+    # of an embedding are read from it below, where a problem needs them
     slave_rows = (
         [_rows_along(coarse, fine, *side) for side in zip(contact.names, slave_nodes, strict=True)]
-        if known is None
+        if embedding is None
         else []
     )
     for face, other in _crack_faces(fine, contact):
         nodal = with_contact_rows(
             nodal, *_rows_along(coarse, fine, face, _on_side(nodal, coarse, fine, face, other))
         )
-    if contact_rows and known is None:
+    if contact_rows and embedding is None:
         master_rows = [
             _rows_along(coarse, fine, name, fine.boundary_nodes(name))
             for name in contact.masters
@@ -193,7 +194,7 @@ def between_levels(
         may_pass = contact_rows and no_limit[coarse.surface(contact.names[k]).nodes].any()
         if not (takes_values or may_pass):
             continue  # the rows of ``relative`` will do
-        rows = slave_rows[k][1] if known is None else known[nodes]
+        rows = slave_rows[k][1] if embedding is None else embedding[nodes]
         if takes_values:  # relative ones, or with shares of tied neighbours
             coarse_contact = coarse_problem.contact
             coarse_slaves = coarse_contact.nodes[coarse_contact.boundary == k]
@@ -215,7 +216,8 @@ def _without_limit(problem: DiscreteProblem) -> np.ndarray:
 
 def _crack_faces(mesh: MeshArrays, contact: ContactNodes) -> list[tuple[str, str]]:
     """Return each face of a crack, and the other one. A crack is a contact pair, or a pair of boundaries
-    of one name that end in .left and .right, whose faces share nodes, those at its tips."""
+    of one name that end in .left and .right, whose faces share nodes, those at its tips. An obstacle,
+    whose master is "", has no face."""
     pairs = [
         *zip(contact.names, contact.masters, strict=True),
         *(
@@ -295,15 +297,17 @@ def _check_bodies(
         (np.ones(coarse.elements.size), (coarse.elements.ravel(), body)),
         shape=(coarse.n_nodes, len(coarse.bodies)),
     )
-    _, part = connected_components(incidence.T @ incidence, directed=False)
+    # numbers (n_bodies,), equal for bodies that share nodes
+    _, group = connected_components(incidence.T @ incidence, directed=False)
+    # of each entry of the prolongation
     rows = np.repeat(np.arange(fine.n_nodes), np.diff(nodal.indptr))
-    below = nodes_of_bodies(fine)[rows]
-    above = nodes_of_bodies(coarse, "coarse")[nodal.indices]
-    wrong = np.flatnonzero((part[below] != part[above]) & (nodal.data != 0.0))
+    body_of_row = nodes_of_bodies(fine)[rows]
+    body_of_column = nodes_of_bodies(coarse, "coarse")[nodal.indices]
+    wrong = np.flatnonzero((group[body_of_row] != group[body_of_column]) & (nodal.data != 0.0))
     if wrong.size:
         node = rows[wrong[0]]
-        fine_body = fine.bodies[below[wrong[0]]]
-        coarse_body = coarse.bodies[above[wrong[0]]]
+        fine_body = fine.bodies[body_of_row[wrong[0]]]
+        coarse_body = coarse.bodies[body_of_column[wrong[0]]]
         raise ValueError(
             f"transfer.build of {transfer!r} lets node {node} of body {fine_body!r} follow body {coarse_body!r}: "
             "build the rows of each body from its own nodes (mesh.element_body tells which they are)"

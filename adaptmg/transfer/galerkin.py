@@ -49,6 +49,7 @@ def coarse_matrix(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.b
     entries = matrix.data.reshape(-1, dim * dim, 1)
     if dim == 1:
         entries = np.pad(entries, ((0, 0), (0, 1), (0, 0)))
+    # A P with the entries of a block as a column, (n * size, coarse), then as a row, (n, coarse * size)
     half = sparse.bsr_array((entries, matrix.indices, matrix.indptr), shape=(n * size, n)) @ nodal
     half = sparse.bsr_array(
         (half.data.reshape(-1, 1, size), half.indices, half.indptr), shape=(n, coarse * size)

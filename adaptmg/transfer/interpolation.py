@@ -238,6 +238,7 @@ def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
         ends_of_coarse = coarse.points[[column, next_column - 1]]
         if (ends_of_coarse != fine.points[[node, next_node - 1]]).any():
             return None  # another box
+        # the rows of the body in indptr, which has an entry more than nodes
         bodies.append((slice(node, next_node + 1), _axes(coarse_cells, fine_cells, column)))
         node = next_node
         column = next_column
@@ -264,6 +265,7 @@ def _axes(coarse_cells: Sequence[int], fine_cells: Sequence[int], column: int) -
     shares = []
     steps = []
     step = 1
+    # in the plane z has no fine cell, and so one place
     for m, n in zip([*coarse_cells, 1][:3], [*fine_cells, 0][:3], strict=True):
         cell, rest = np.divmod(np.arange(n + 1) * m, max(n, 1))
         corners.append(step * cell)
@@ -281,7 +283,7 @@ def _interpolate(
     entries in each row to ``indptr``."""
     for nodes, (corners, shares, steps) in bodies:
         lines = len(corners[1]) * len(corners[2])
-        entries = 4 * (nodes.stop - nodes.start)
+        entries = 4 * (nodes.stop - nodes.start)  # a row has up to four
         arguments = corners, shares, steps, indptr[nodes], columns, weights
         in_parts(_interpolate_on_lattice, lines, entries, *arguments)
 
@@ -317,7 +319,7 @@ def _interpolate_on_lattice(first, last, corners, shares, steps, indptr, columns
                 (1.0 - a, step_a),
                 (a - b, step_b),
                 (b - c, step_c),
-                (c, step_c),
+                (c, step_c),  # after the last corner the step leads nowhere
             ):
                 if weight >= CLIP:
                     if not counts:
