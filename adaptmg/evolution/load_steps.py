@@ -222,7 +222,7 @@ def resumed(
 ) -> tuple[Outcome, TruncatedRun | None, list[np.ndarray] | None]:
     """Solve a step by the truncated multigrid, which is set up for the step before (``multigrid``) or
     else from the beginning. Return the outcome, the set-up for the next step, and the displacements
-    of coarse levels if the solver has a nested start."""
+    (n_dofs,) of coarse levels, coarsest first, if the solver has a nested start, else None."""
     problem = hierarchy.finest.discrete
     if multigrid is None or not problem.alike(multigrid.problems[-1]):
         multigrid = cast("TruncatedRun", solver.prepared(hierarchy, run, keeps=True))
@@ -259,6 +259,7 @@ def _nested_start(
     problem = multigrid.problems[-1]
     displacements_before = past.level_displacements if past.has_previous else None
     *coarse_solutions, start = multigrid.nested_start(solver.start, displacements_before)
+    # of each solution the displacement, without pressures
     coarse = [
         coarse_problem.parts(solution)[0]
         for coarse_problem, solution in zip(multigrid.problems[:-1], coarse_solutions, strict=True)
@@ -687,8 +688,8 @@ class Search(Generic[Carried]):
     def trial_at(
         self, values: np.ndarray, near: _Trial[Carried] | None, loose: float = 0.0
     ) -> _Trial[Carried]:
-        """Return the solved contact problem with these values of the unknowns, which starts from the
-        trial ``near`` to it; ``loose`` is the tolerance that suffices."""
+        """Return the solved contact problem with these ``values`` (n,) of the unknowns, over their sizes,
+        which starts from the trial ``near`` to it; ``loose`` is the tolerance that suffices."""
         if self.cycles >= self.budget:
             raise _Exhausted
         motions = self.controls.motions_of(self.parts, values * self.sizes)

@@ -80,6 +80,7 @@ class PlasticLoop(PathLoop):
             )
         if isinstance(getattr(solver, "rtol", None), str):
             raise ValueError("rtol must be a number where bodies are plastic, got 'discretisation'")
+        # a user-defined solver may have no tolerance: that of the package's solvers
         self.rtol = cast("float", getattr(solver, "rtol", 1e-8))
         self.plastic = InelasticBodies.of(cast("Posed", self.posed[-1]))
         self.state = self.plastic.unloaded
@@ -289,8 +290,8 @@ class _Newton:
         return outcome
 
     def _advance(self, tangent: DiscreteProblem, solution: np.ndarray) -> float:
-        """Go towards the solution of a contact problem, and return the change over the solution, in
-        the energy norm of the tangent."""
+        """Go towards the solution (n_unknowns,) of the contact problem of a tangent, and return the change
+        over the solution, in the energy norm of the tangent."""
         direction = solution - self.response.displacement  # d = w - u
         # lambda = A w - b of the tangent, the forces of contact and supports: at other dofs it is the residual
         # that the solver leaves
@@ -314,8 +315,8 @@ class _Newton:
     def _searched(
         self, direction: np.ndarray, slope: Callable[[Response], float]
     ) -> tuple[Response, float]:
-        """Return the response after a part of a direction, and this part: 1 if the slope is still
-        negative there, else one where it is small.
+        """Return the response after a part of a ``direction`` (n_unknowns,), m, and this part: 1 if the
+        ``slope`` is still negative there, else one where it is small.
 
         Regula falsi keeps the slope negative at the first end of an interval and positive at the
         second; the slope of an end that stays twice counts half (the rule of Illinois)."""

@@ -145,8 +145,8 @@ def correction_contact(
 def _checked_transport(
     correction: Correction, coarse: LocalSystem, returned: object
 ) -> tuple[np.ndarray, ...]:
-    """Return gap, slip and limit that a correction has transported, with types and shapes checked:
-    it may be user-defined."""
+    """Return gap (n,), slip (n, dim - 1) and limit (n,) that a correction has transported to the n coarse
+    contact nodes, with types and shapes checked: it may be user-defined."""
     n = len(coarse.nodes)
     name = f"correction: transport of {checks.shown(correction)}"
     if not isinstance(returned, (tuple, list)) or len(returned) != 3:
@@ -284,8 +284,8 @@ def local_prolongation(
 
 
 def _tangential_part(rotation: np.ndarray) -> np.ndarray:
-    """Return rotations between frames that map normal to normal exactly, and tangents by the nearest
-    rotation, the identity in 2D."""
+    """Return the parts (n, dim, dim) of rotations between frames (n, dim, dim) that map normal to normal
+    exactly, and tangents by the nearest rotation, the identity in 2D."""
     if rotation.shape[1] < 3:
         return np.broadcast_to(np.eye(rotation.shape[1]), rotation.shape)
     result = np.zeros_like(rotation)
@@ -487,7 +487,7 @@ class MultigridCycle:
     def solve(
         self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, shape: str
     ) -> None:
-        """Solve the problem of a level as the shape of the cycle says."""
+        """Solve the problem of a level as the ``shape`` of the cycle says, from ``unknowns`` on."""
         if level == 0:
             self.solve_coarsest(contact, load, unknowns)
         elif shape == "complete":

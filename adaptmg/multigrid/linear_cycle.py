@@ -72,7 +72,8 @@ class LinearLevel:
         )
 
     def restrict(self, residual: np.ndarray, coarse: np.ndarray) -> float:
-        """Restrict a residual to the level below, into ``coarse``; returns its sum of squares."""
+        """Restrict a residual (n_dofs,) to the level below, into ``coarse`` (n_dofs coarse,); return the sum
+        of squares of the residual."""
         coarse[:] = 0.0
         squares = in_colours(self._scattering, restrict, *self._transfer, residual, coarse)
         coarse[self.below.matrix.fixed] = 0.0
@@ -87,7 +88,7 @@ class LinearLevel:
 
     def presmooth(self, load: np.ndarray) -> float:
         """Smooth from zero, and leave the residual f - A u in ``rest``; return the passes over the
-        matrix. f is the load, A = L + D + U.
+        matrix. f is the load (n_dofs,), u the ``solution``, A = L + D + U.
 
         Pairs of sweeps go forward and backward; an odd number has one more forward sweep in front of
         the pairs. A forward sweep leaves s = f - L u in ``rest`` and ends with D u = s - U u, where u on
@@ -116,12 +117,12 @@ class LinearLevel:
         passes = 0.5  # L
         if self.pre % 2 == 1:
             self._forward(load)
-            passes += 1.0
+            passes += 1.0  # L, U
         self._backward()
         for _ in range(self.pre // 2 - 1):
             self._forward(load)
             self._backward()
-            passes += 1.5
+            passes += 1.5  # L, U; U
         # f - A u = f - s - L u, since D u = s - U u
         np.subtract(load, rest, out=rest)
         matrix.sweep(subtract_half, *lower, u, rest)
@@ -156,10 +157,12 @@ class LinearLevel:
         """Sweep forward; leaves load - L u in ``rest``."""
         matrix = self.matrix
         halves = (*matrix.lower_arrays, *matrix.upper_arrays)
+        # False: forward, as of gauss_seidel
         matrix.sweep(gauss_seidel, False, *halves, matrix.inverse, load, self.solution, self.rest)
 
     def _backward(self) -> None:
-        """Sweep backward from ``rest``, in which a forward sweep left load - L u."""
+        """Sweep backward from ``rest``, in which a forward sweep left load - L u; it stays, as the first
+        half of the matrix that the kernel reads, which it subtracts from there, has no entries."""
         matrix = self.matrix
         rest = self.rest
         halves = (*matrix.no_half, *matrix.upper_arrays)
@@ -250,8 +253,8 @@ class LinearCycle:
         return self._visits(number, load, self.cycle.shape)
 
     def _visits(self, number: int, load: np.ndarray, shape: str) -> np.ndarray:
-        """Return the solution of a level after one visit from the next finer one (V) or two (W; F: an
-        F- and then a V-cycle)."""
+        """Return the solution (n_dofs,) of a level for a load (n_dofs,) after one visit from the next finer
+        one (V) or two (W; F: an F- and then a V-cycle)."""
         first, *second = VISITS[shape]
         solution = self._visit(number, load, first)
         if number > 0 and second:  # the coarsest level is solved
@@ -263,8 +266,8 @@ class LinearCycle:
         return solution
 
     def _visit(self, number: int, load: np.ndarray, shape: str, smooth: bool = True) -> np.ndarray:
-        """Return the solution of a level after one cycle from zero; ``smooth`` False leaves out the
-        sweeps before the coarse correction."""
+        """Return the solution (n_dofs,) of a level for a load (n_dofs,) after one cycle from zero;
+        ``smooth`` False leaves out the sweeps before the coarse correction."""
         level = self.levels[number]
         recorder = self.recorder
         if number == 0:
@@ -571,8 +574,8 @@ def _regular_sparse(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
 
 
 def _regular_dense(level: SplitMatrix, scale: np.ndarray) -> np.ndarray:
-    """Return :func:`regular_matrix` as a dense one. By way of the sparse one a solve of 1089 nodes takes
-    5 % more: each status makes a new one."""
+    """Return :func:`regular_matrix` as a dense one (n_dofs, n_dofs). By way of the sparse one a solve of
+    1089 nodes takes 5 % more: each status makes a new one."""
     matrix = level.dense()
     empty = np.flatnonzero(np.abs(matrix).sum(axis=1) <= checks.ROUNDING * scale)
     matrix[empty, empty] = scale[empty]

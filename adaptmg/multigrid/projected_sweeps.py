@@ -397,7 +397,8 @@ class Interface:
     LAYERS = 2
 
     def __init__(self, level: SplitMatrix, coupling: Coupling, fixed: np.ndarray) -> None:
-        """Take the rows of the nodes near contact, and the blocks by which masters move."""
+        """Take the rows of the nodes near contact, and the blocks by which masters move; ``fixed`` (n_dofs,)
+        is the mask of fixed dofs."""
         n = level.n_nodes
         dim = level.dim
         self.dim = dim

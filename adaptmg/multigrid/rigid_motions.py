@@ -106,8 +106,8 @@ class RigidMotions:
     def of(
         cls, problem: DiscreteProblem, contact: TruncatedContact, load: np.ndarray
     ) -> RigidMotions | None:
-        """Return the free motions of a problem, None if it has none, is one-dimensional, or its
-        near_nullspace is unknown."""
+        """Return the free motions of a problem under a load (n_dofs,), N, None if it has none, is
+        one-dimensional, or its near_nullspace is unknown."""
         if problem.dim == 1:  # a constant, which truncation shifts
             return None
         _, at_contact = _free_combinations(problem)

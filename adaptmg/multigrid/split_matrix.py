@@ -137,7 +137,8 @@ class SplitMatrix:
 
     def set_aside(self, rows: BlockRows, fixed: np.ndarray) -> bool:
         """Free L and the inverse blocks of a large symmetric matrix, unless nodes share rows, until
-        :meth:`complete` makes them again; return whether it is large."""
+        :meth:`complete` makes them again from the ``rows`` of the whole matrix and the mask ``fixed``
+        (n_dofs,); return whether it is large."""
         if not self.symmetric or self.size_of_lower < LARGE:
             return False
         if not len(self.kinds):
@@ -157,7 +158,8 @@ class SplitMatrix:
             self.inverse = again.inverse
 
     def at_slots(self, slots: np.ndarray) -> np.ndarray:
-        """Return the blocks at slots (L first, then the diagonal, then U), flat."""
+        """Return the blocks at ``slots`` (n,), numbers of blocks (L first, then the diagonal, then U), as a
+        flat array (n * dim^2,)."""
         result = np.empty((len(slots), self.dim**2))
         first = 0
         # part by part: 3 ms less for hierarchy and solve with 263k nodes than joined
@@ -171,8 +173,8 @@ class SplitMatrix:
 
     @cached_property
     def _entries(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the numbers of the blocks of L, shared ones for each node, and their block rows and
-        columns."""
+        """Return the numbers (n,) of the blocks of L, shared ones for each node, and their block rows (n,)
+        and columns (n,)."""
         half = BlockRows(self.dim, self.kinds, self.lower_indptr, self.lower_indices, self.lower)
         order = self.strips.order
         places, columns, rows = half.entries(order if len(self.kinds) else np.arange(len(order)))
@@ -180,7 +182,7 @@ class SplitMatrix:
 
     @cached_property
     def _places(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return the block rows and columns of L, D and U."""
+        """Return the block rows (n,) and columns (n,) of L, of D and of U."""
         diagonal = np.arange(self.n_nodes)
         _, row, lower = self._entries
         upper = (
@@ -195,7 +197,7 @@ class SplitMatrix:
 
     @property
     def _blocks(self) -> list[np.ndarray]:
-        """Return the blocks at these places."""
+        """Return the blocks (n, dim, dim) of L, of D and of U at :attr:`_places`."""
         lower, upper = (part.reshape(-1, self.dim, self.dim) for part in (self.lower, self.upper))
         lower = lower[self._entries[0]]
         upper = lower.transpose(0, 2, 1) if self.symmetric else upper
@@ -242,7 +244,8 @@ def split(
     strips = Strips.of(rows)
     lower_indptr = np.zeros(n + 1, dtype=np.int32)
     upper_indptr = np.zeros(n + 1, dtype=np.int32)
-    # row pointers of both halves from the number of blocks in a row
+    # row pointers of both halves from the number of blocks in a row; the first three arrays are kinds,
+    # indptr and indices
     in_parts(
         count, n, size, strips.order, *rows.arrays[:3], strips.rank, lower_indptr, upper_indptr
     )

@@ -373,7 +373,8 @@ class TruncatedContact:
         unknowns[dofs] = from_frames(frames, values)
 
     def _project(self, unknowns: np.ndarray, codes: np.ndarray) -> int:
-        """Make unknowns admissible to a status, in place; return the number of nodes that were cut."""
+        """Make unknowns (n_dofs,) admissible to a status, the ``codes`` (n_contact,), in place; return the
+        number of nodes that were cut."""
         cut = self._cut(unknowns, codes, move=True)
         self._remove_held(unknowns)
         self.values.reshape(-1, self.dim)[self.driven, 1:2] = 0.0
@@ -403,7 +404,8 @@ class TruncatedContact:
     def slope_along(self, before: np.ndarray) -> Callable[[float], float]:
         """Return the derivative by alpha of sum g |tau + alpha d_t| over slipping nodes, and of half of
         sum k (alpha d_n)^2 over the springs k of closed ones: d is the step from local unknowns
-        ``before`` to the values. What the springs bore before the step is in its residual."""
+        ``before`` (n_contact * dim,) to the values. What the springs bore before the step is in its
+        residual."""
         shape = len(self.nodes), self.dim
         if self.dim == 1:
             return lambda alpha: 0.0
@@ -460,10 +462,10 @@ def classify(
         k = np.uint64(node)
         r = times(frames, dim * dim * k, read(residual, dim * np.uint64(nodes[k]), zero))
         w = read(values, dim * k, zero)
-        place = read_reference(reference, k, zero)
-        code = CLOSED if _touches(w, gap[k], place) else 0
+        slip_origin = read_reference(reference, k, zero)  # of scalar problems the lowest value
+        code = CLOSED if _touches(w, gap[k], slip_origin) else 0
         if limit[k] > 0.0 or (code and friction[k] > 0.0):
-            code += _tangential(w, place)
+            code += _tangential(w, slip_origin)
         changed += code != codes[k]
         codes[k] = code
         p = max(r[0], 0.0)
@@ -473,7 +475,7 @@ def classify(
             r,
             w,
             gap[k],
-            place,
+            slip_origin,
             limit[k] + friction[k] * p,
             compliance[k],
         )
@@ -600,8 +602,8 @@ def project(zero, codes, nodes, frames, gap, reference, spring, values, u, local
         if tangential >= SLIPS:
             product = 0.0
             for a in range(n_tangents):
-                place = reference[n_tangents * k + a]
-                product += (values[dim * k + 1 + a] - place) * (local[1 + a] - place)
+                slip_origin = reference[n_tangents * k + a]
+                product += (values[dim * k + 1 + a] - slip_origin) * (local[1 + a] - slip_origin)
             if product <= 0.0:
                 sticks = True
                 n_cut += 1

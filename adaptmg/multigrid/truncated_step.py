@@ -383,7 +383,7 @@ class TruncatedStep:
         return pressures, np.append(restricted, -volumes.compliance * pressures)
 
     def _project(self, contact: TruncatedContact, unknowns: np.ndarray) -> None:
-        """Make a corrected iterate admissible, in place."""
+        """Make a corrected iterate (n_dofs,) admissible, in place."""
         projection = self.options.project
         if projection is None:
             contact.project(unknowns)
@@ -453,7 +453,7 @@ class TruncatedStep:
     def _recombined(
         self, state: TruncatedState, coarse_residual: np.ndarray
     ) -> Recombinable | None:
-        r"""Return the iterate and its restricted residual, recombined with the last ones: the weights of
+        r"""Return the iterate and its restricted residual (n,), recombined with the last ones: the weights of
         :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d
         the diagonal of the coarse matrix (Anderson acceleration). While the contact status stays,
         the residual is affine in u (3D: nearly). None without earlier iterates, or if the recombined
@@ -497,8 +497,8 @@ class TruncatedStep:
     def _search(
         self, state: TruncatedState, proposed: np.ndarray, contact: TruncatedContact
     ) -> None:
-        """Shorten the step to the least energy with the bounds g of friction frozen, in place; costs
-        half a pass."""
+        """Shorten the step from the iterate of a state to the ``proposed`` one (n_dofs,), in place, to the
+        least energy with the bounds g of friction frozen; ``contact`` has its values. Costs half a pass."""
         unknowns = self.displacement(state)
         curvature = self.distance(unknowns, proposed) ** 2
         change = proposed - unknowns
@@ -546,9 +546,9 @@ class TruncatedStep:
         return float(np.sqrt(max(square, 0.0)))
 
     def rounding(self, unknowns: np.ndarray) -> float:
-        """Return the norm of D u, N; no residual falls below this times the unit of rounding. The
-        sweeps store only the inverses of diagonal blocks: D is the reciprocal of their diagonals, at
-        most the diagonal of the matrix."""
+        """Return the norm of D u, N, of unknowns (n_dofs,); no residual falls below this times the unit of
+        rounding. The sweeps store only the inverses of diagonal blocks: D is the reciprocal of their
+        diagonals, at most the diagonal of the matrix."""
         matrix = self.matrix
         matrix.complete()
         square = sum_of_parts(
@@ -626,8 +626,8 @@ class CoarseContact:
         self.stiffness = np.abs(triangles[:, row == column])
 
     def _spaces(self) -> Iterator[tuple[int, sparse.csr_array, np.ndarray]]:
-        """Yield the levels that may serve, finest first: the number, R, and the coarse nodes that move
-        contact nodes.
+        """Yield the levels that may serve, finest first: the number, R, and the coarse nodes (n,) that move
+        contact nodes. A level with more than MOST unknowns may serve if it is the coarsest one, number 0.
 
         R (n_contact * dim, n_dofs coarse) gives the local values of the contact nodes for coarse
         unknowns e, R e = F P_1 P_2 ... e, with the frames F of the contact nodes and the
@@ -646,8 +646,7 @@ class CoarseContact:
             coarse = step.cycle.levels[number].matrix
             prolongation = by_dofs(finer.prolongation, finer.matrix.n_dofs)
             rows = _without(rows, finer.matrix.fixed) @ prolongation
-            is_coarsest = number == 0
-            if coarse.n_dofs > self.MOST and not is_coarsest:
+            if coarse.n_dofs > self.MOST and number > 0:
                 continue
             moving = _without(rows, coarse.fixed)
             moving.eliminate_zeros()
@@ -693,9 +692,9 @@ class CoarseContact:
 def _eliminated(
     matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray, coordinates: np.ndarray | None
 ) -> Eliminated:
-    """Eliminate all but the coarse nodes that move contact nodes. Galerkin matrices of independent
-    meshes may be singular without these: weak springs on all dofs then hold motions on which no
-    force acts."""
+    """Eliminate all but the coarse ``nodes`` (n,), which move contact nodes; ``fixed`` (n_dofs,) is a mask,
+    ``coordinates`` are (n_nodes, dim). Galerkin matrices of independent meshes may be singular without
+    these nodes: weak springs on all dofs then hold motions on which no force acts."""
     try:
         return eliminate(LocalSystem.from_matrix(matrix, fixed, nodes), coordinates)
     except ValueError:  # singular with all contact dofs fixed

@@ -81,7 +81,7 @@ class _ChangedDofs(_Changed):
         dofs: np.ndarray,
         pattern: sparse.csr_array,
     ) -> _ChangedDofs:
-        """Find the entries of a level in ``pattern``, a matrix of ones between the changed ``dofs``;
+        """Find the entries of a level in ``pattern``, a matrix of ones between the changed ``dofs`` (n,);
         ``weights`` is the prolongation from these to the changed dofs of the finer level."""
         entries = sparse.coo_array(pattern)
         # a key is the row times the number of dofs, plus the column
@@ -215,8 +215,8 @@ class NodalUpdate:
 def _products(
     level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray
 ) -> _ChangedBlocks:
-    """Return the blocks of a level that changes of blocks at ``rows`` and ``columns`` of the finer
-    level reach."""
+    """Return the blocks of a level that changes of the blocks at ``rows`` and ``columns`` (n_blocks,),
+    nodes, of the finer level reach, by the prolongation ``nodal`` between them."""
     # the block IJ of P'Delta P is the sum of P_iI P_jJ Delta_ij: each fine block has as many products as
     # row i of P has entries, times those of row j
     entries = np.diff(nodal.indptr).astype(np.int64)
@@ -328,6 +328,7 @@ def _blocks_at_contact(
     """Return rows (n,), columns (n,) and blocks (n, dim, dim) of a symmetric matrix, which stores L
     alone, in rows and columns of contact nodes."""
     dim = fine.dim
+    # the first three shared arrays are kinds and the two index arrays of L
     found = in_parts(
         _at_contact,
         fine.n_nodes,

@@ -75,8 +75,8 @@ class VolumePressures:
         return float(np.einsum("i,i->", forces, forces))
 
     def advance(self, unknowns: np.ndarray, pressures: np.ndarray, cautious: bool) -> float:
-        """Step towards the pressures of corrected unknowns, in place; returns the energy of the
-        step, N m."""
+        """Change ``pressures`` (n_groups,), in place, towards those of corrected unknowns (n_dofs,), by a
+        part of the step if ``cautious``; return the energy of the whole step, N m."""
         volumes = self.volumes
         missed = self.missed(unknowns, pressures)
         # (b u - p/kappa) / (1/kappa + 1/(lambda_1 + mu))
@@ -94,8 +94,8 @@ class VolumePressures:
 def prolonged_pressures(
     coarse: DiscreteProblem, fine: DiscreteProblem, nodal: sparse.csr_array, pressures: np.ndarray
 ) -> np.ndarray:
-    """Interpolate pressures to a finer level; ``nodal`` is the prolongation, between bodies of
-    relative values."""
+    """Return pressures (n_groups coarse,), Pa, interpolated to a finer level, (n_groups fine,); ``nodal`` is
+    the prolongation, between bodies of relative values."""
     if not len(coarse.volumes):
         return np.zeros(len(fine.volumes))
     values = coarse.volumes.at_nodes(pressures)
@@ -167,8 +167,8 @@ class Augmented:
     def accelerated(
         self, pressures: np.ndarray, past: list[tuple[np.ndarray, np.ndarray]]
     ) -> np.ndarray:
-        r"""Return the pressures with which the next solve begins, by Anderson acceleration: those of the
-        last five solves, recombined such that their changes :math:`c_j` by the solves have the least energy
+        r"""Return the pressures (n_groups,) with which the next solve begins, by Anderson acceleration: those
+        of the last five solves, recombined such that their changes :math:`c_j` by the solves have the least energy
         :math:`|c_0 + \sum_j \alpha_j (c_j - c_0)|^2 A/(\lambda_1 + \mu)`. ``past`` has the pressures and
         the changes of the earlier solves, newest first, and grows by those of this one. Without that
         the mean pressure of an enclosed body would converge with the rate 1 - kappa~ / kappa."""
@@ -183,7 +183,7 @@ class Augmented:
         return pressures + alphas @ (values[1:] - pressures)
 
     def missed(self, solved: np.ndarray) -> float:
-        """Return the deviation of the volume strains of a displacement from the pressures that this
+        """Return the deviation of the volume strains of a displacement (n_dofs,) from the pressures that this
         problem began with, relative to these."""
         volumes = self._volumes
         missed = volumes.scale * volumes.missed(solved.reshape(-1), self._start_pressures)

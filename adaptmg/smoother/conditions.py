@@ -212,7 +212,8 @@ def linearise(
 def _set_springs(
     contact: NodalContact, unknowns: np.ndarray, nodes: np.ndarray, equations: Linearised
 ) -> None:
-    """Replace prescribed normal displacements of compliant ``nodes`` by springs."""
+    """Replace prescribed normal displacements of compliant ``nodes`` (k,), numbers of contact nodes, by
+    springs, at ``unknowns`` (n_contact, dim), m."""
     spring = 1 / contact.compliances[nodes]
     equations.spring[nodes] = spring
     equations.prescribed[nodes, 0] = False
@@ -232,7 +233,8 @@ def _slip_along_held(
     .. math:: (A_2 - \mu z A_n + \kappa)\,\delta = q_2 - z\,(s + \mu q_n),\qquad
               \kappa = (s + \mu p)\,(1 - z^2)/|\tau| .
 
-    Along the first tangent the prescribed change is zero."""
+    Along the first tangent the prescribed change is zero. ``tau`` (n_contact, 2), m, is the slip, and
+    ``residual`` (n_contact, 3), N, has q in its columns."""
     at = contact.driven
     if len(at):
         size = np.linalg.norm(tau[at], axis=1)
@@ -272,8 +274,8 @@ def _clamped_equations(
 
 
 def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) -> Linearised:
-    """Return the equations by which every node that has an obstacle touches and, where the law has
-    friction, sticks."""
+    """Return the equations, at unknowns and residuals (n_contact, dim) as of :func:`linearise`, by which
+    every node that has an obstacle touches and, where the law has friction, sticks."""
     if contact.lowest is not None:
         nearer_below = contact.gap - unknowns[:, 0] > unknowns[:, 0] - contact.lowest
         aim = np.where(nearer_below, -np.inf, np.inf)
@@ -308,10 +310,12 @@ def _equations(
     bound: np.ndarray,
     c_t: np.ndarray,
 ) -> Linearised:
-    r"""Set up the equations of the module's docstring, for the slip force z_t (``trial``) of length
-    ``trial_size``, the bound B and c_t: ``direction`` is z, ``across`` the projection
-    :math:`\Pi`, ``curvature`` :math:`\kappa\Pi`, ``coupling`` :math:`\mu`, ``force`` the right side.
-    A slip force of length 0 has no direction: its node moves freely."""
+    r"""Set up the equations of the module's docstring, for the masks ``active`` and ``slip``
+    (n_contact,), the slip force z_t (``trial`` (n_contact, dim - 1)) of length ``trial_size``, the bound
+    B and c_t (all (n_contact,)), at ``unknowns`` w and ``residual`` q (n_contact, dim): ``direction`` is
+    z, ``across`` the projection :math:`\Pi`, ``curvature`` :math:`\kappa\Pi`, ``coupling``
+    :math:`\mu`, ``force`` the right side. A slip force of length 0 has no direction: its node moves
+    freely."""
     moving = slip & (trial_size > 0)
     direction = np.where(moving[:, None], trial / np.where(moving, trial_size, 1.0)[:, None], 0.0)
     coupling = np.where(active & moving, contact.friction, 0.0)

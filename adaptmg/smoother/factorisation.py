@@ -335,8 +335,9 @@ def condense(local: LocalProblem, lenient: bool = False) -> Condensed:
 def eliminate(
     system: LocalSystem, coordinates: np.ndarray | None, lenient: bool = False
 ) -> Eliminated:
-    """Eliminate all but the contact nodes of a system, by factors of M = A + Sigma. ``lenient``: where it
-    is singular with all contact dofs fixed, dofs that depend on others stay at zero."""
+    """Eliminate all but the contact nodes of a system, by factors of M = A + Sigma; ``coordinates``
+    (n_nodes, dim), if they are known, order the elimination. ``lenient``: where M is singular with all
+    contact dofs fixed, dofs that depend on others stay at zero."""
     dim = system.dim
     contact = dofs_of(system.nodes, dim)
     shift = np.abs(
@@ -383,8 +384,8 @@ def eliminated(problem: DiscreteProblem) -> tuple[LocalSystem, Eliminated]:
 
 
 def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> sparse.csc_array:
-    """Return M with every entry between two contact dofs stored, so that SuperLU keeps them at the end of
-    its order."""
+    """Return M with every entry between two dofs ``contact`` (n,) stored, so that SuperLU keeps them at the
+    end of its order; ``shift`` (n,) is the diagonal of Sigma there."""
     n = len(contact)
     matrix = sparse.coo_array(system.matrix)
     rows, columns = matrix.coords
@@ -425,8 +426,9 @@ def _eliminate(
 def _eliminate_dense(
     system: LocalSystem, contact: np.ndarray, shift: np.ndarray, lenient: bool
 ) -> tuple[DenseFactors, np.ndarray]:
-    """Return the factors and S + Sigma as :func:`_eliminate` does, by a dense Cholesky decomposition
-    with pivots, which find the rank of the interior matrix."""
+    """Return the factors and S + Sigma (n, n) on the dofs ``contact`` (n,), where ``shift`` (n,) is the
+    diagonal of Sigma, by a dense Cholesky decomposition with pivots, which find the rank of the interior
+    matrix; other arguments as of :func:`eliminate`."""
     n = system.n_nodes
     dim = system.dim
     # the matrix by node and component

@@ -133,8 +133,8 @@ def _two_obstacles(
     offset: np.ndarray | float,
     most: int,
 ) -> Interior:
-    """Solve as :func:`interior_point` does, with an obstacle on either side: each node occurs twice,
-    the second time with the opposite displacement."""
+    """Solve as :func:`interior_point` does, whose arguments these are, with an obstacle on either side:
+    each node occurs twice, the second time with the opposite displacement."""
     n = len(stiffness)
     gaps = np.append(contact.gap, -cast("np.ndarray", contact.lowest))
     conditions = Conditions(
@@ -220,8 +220,8 @@ class _Method:
         self._start(springs, offset)
 
     def _start(self, springs: np.ndarray, offset: np.ndarray | float) -> None:
-        """Set the first state: the displacement under the load with springs in place of contact, then
-        the pairs at that displacement."""
+        """Set the first state: the displacement, R x plus the ``offset`` (n_contact, dim), m, under the load
+        with ``springs`` (n_contact, dim), N/m, in place of contact, then the pairs at that displacement."""
         self.blocks[:, range(self.dim), range(self.dim)] = springs
         solve = self._factorise()
         self.unknowns = np.zeros_like(self.load) if solve is None else solve(self.load)

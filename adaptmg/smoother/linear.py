@@ -44,8 +44,8 @@ class LinearSolution:
 def solution_of(
     linear: LinearSolver, prepared: Prepared, rhs: np.ndarray, rtol: float
 ) -> LinearSolution:
-    """Solve with a matrix that a linear solver has prepared; TypeError unless the solution of a
-    user-defined solver has the right form."""
+    """Solve for a right-hand side (n,) with a matrix that a linear solver has prepared; TypeError unless
+    the solution of a user-defined solver has the right form."""
     name = f"linear: what {checks.shown(linear)}"
     checks.offers(f"{name} prepares", prepared, "solve", "an object that offers solve(rhs, rtol)")
     solution = prepared.solve(rhs, rtol=rtol)

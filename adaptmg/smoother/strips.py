@@ -66,9 +66,9 @@ class Strips:
 
 
 def _strips(rows: BlockRows, by_distance: bool) -> list[np.ndarray]:
-    """Return the nodes of the strips, which are ranges of the numbers of nodes, or, where these are too
-    few and ``by_distance`` allows it, ranges of the nodes in the order of their distance. Those of
-    lattices are always ranges of numbers."""
+    """Return an array of nodes (n,) for each strip. Strips are ranges of the numbers of nodes, or, where
+    these are too few and ``by_distance`` allows it, ranges of the nodes in the order of their distance.
+    Those of lattices are always ranges of numbers."""
     numbering = np.arange(rows.n_nodes, dtype=np.int32)
     bounds = _bounds(rows.last_columns())
     if len(bounds) > FEWEST or not by_distance or len(rows.kinds):
@@ -101,8 +101,8 @@ def _bounds(last_neighbour: np.ndarray) -> list[int]:
 
 
 def _by_distance(indptr: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    """Return the nodes in the order of their distance from a first one in the graph of a matrix,
-    one connected part after the other."""
+    """Return the nodes (n_nodes,) in the order of their distance from a first one in the graph of a matrix
+    with these CSR arrays, one connected part after the other."""
     n = len(indptr) - 1
     graph = sparse.csr_array((np.ones(len(indices), dtype=np.int8), indices, indptr), shape=(n, n))
     unvisited = np.ones(n, dtype=bool)

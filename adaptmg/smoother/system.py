@@ -59,7 +59,7 @@ class Layer:
 
     @classmethod
     def of(cls, problem: DiscreteProblem, gap: np.ndarray) -> Layer | None:
-        """Return the surfaces of a problem, None where all are linear."""
+        """Return the surfaces of a problem with these gaps (n_contact,), m, None where all are linear."""
         contact = problem.contact
         if not (contact.exponent > 1).any():
             return None
@@ -241,8 +241,8 @@ class LocalSystem:
     def from_matrix(
         cls, matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray
     ) -> LocalSystem:
-        """Return the system of a matrix in local components whose fixed rows and columns are
-        decoupled."""
+        """Return the system of a matrix in local components whose rows and columns in the mask ``fixed``
+        (n_dofs,) are decoupled; ``nodes`` (n_contact,) are its contact nodes."""
         dim = matrix.blocksize[0]
         n_nodes = matrix.shape[0] // dim
         if not matrix.has_sorted_indices:
@@ -394,8 +394,9 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
 
 
 def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarray) -> NodalContact:
-    """Return the contact conditions of a problem in contact frames, for unknowns from which the
-    prescribed values are subtracted."""
+    """Return the contact conditions of a problem in contact ``frames`` (n_contact, dim, dim), for unknowns
+    from which the prescribed values are subtracted; ``fixed`` (n_dofs,) is the mask of fixed dofs in
+    these frames."""
     prescribed = to_frames(
         frames, problem.fixed_values.reshape(-1, problem.dim)[problem.contact.nodes]
     )
@@ -513,8 +514,8 @@ def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _rotated(matrix: sparse.bsr_array, frames: np.ndarray, nodes: np.ndarray) -> sparse.bsr_array:
-    """Return a copy of a matrix, turned into contact frames: A_ij becomes F_i A_ij F_j', F the frame
-    of one of ``nodes`` and the identity elsewhere."""
+    """Return a copy of a matrix, turned into contact ``frames`` (n, dim, dim) of ``nodes`` (n,): A_ij
+    becomes F_i A_ij F_j', F the frame of one of these nodes and the identity elsewhere."""
     n = matrix.shape[0] // matrix.blocksize[0]
     frame_of = places_of(nodes, n)
     in_row = np.repeat(frame_of, np.diff(matrix.indptr))

@@ -141,7 +141,8 @@ class ActiveSet(checks.Checked):
         return Outcome(solved, status, state.cycles, self.rtol, stop.error_estimate, stop.rate)
 
     def _augmented(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
-        r"""Solve a finest problem with volumes, by one factorisation and perhaps several solves.
+        r"""Solve a finest problem with volumes from a start (n_unknowns,), if there is one, by one
+        factorisation and perhaps several solves.
 
         With the symbols of :mod:`adaptmg.multigrid.volume_pressures`, a solve that begins with the
         pressures p_0 finds a displacement u of a problem without volumes, and leaves the pressures
@@ -597,7 +598,8 @@ class SparseSteps:
         return lambda rhs: self._solution(prepared, rhs, self.RTOL).unknowns
 
     def _solution(self, prepared: Prepared, rhs: np.ndarray, rtol: float) -> LinearSolution:
-        """Solve with a prepared matrix, count the passes, and log if an iterative solver stops early."""
+        """Return the solution for a right-hand side (n_dofs,) with a prepared matrix; count the passes, and
+        log if an iterative solver stops early."""
         solution = solution_of(self.linear, prepared, rhs, rtol)
         self.run.count(solution.passes, self.local.system.nonzeros)
         if not solution.converged and not isinstance(self.linear, Direct):
@@ -615,7 +617,8 @@ class SparseSteps:
         self, equations: Linearised, matrix: sparse.bsr_array, prescribed: np.ndarray
     ) -> None:
         """Set up the linear solver for the matrix of some equations, unless it has the matrix
-        already. Without the Coulomb term the matrix is symmetric, as preconditioners need it."""
+        already, without the dofs in the mask ``prescribed`` (n_dofs,), whose changes are given. Without
+        the Coulomb term the matrix is symmetric, as preconditioners need it."""
         if self._prepared_for is not None and equations.has_matrix_of(self._prepared_for):
             return
         with self.run.phase("factorise" if isinstance(self.linear, Direct) else "setup"):

@@ -257,6 +257,7 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
         "a slope of friction over pressure of",
     )
     # a node that has jumped is beyond the slips where friction falls fastest, and shows nothing
+    # the last one of what friction_bound returns is the derivative by the slip
     slopes_of_slip = [
         friction_bound(discrete.friction_at, force, share * slip)[2] for share in SLIP_SHARES
     ]
@@ -353,7 +354,7 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
 
 def _advise_on_strains(posed: Posed, result: Result, body_volumes: np.ndarray) -> bool:
     """Return whether strains are large in a considerable share of the volume of a body
-    (``body_volumes``, m^2 or m^3), and warn if they are."""
+    (``body_volumes`` (n_bodies,), m^2 or m^3), and warn if they are."""
     problem = posed.problem
     mesh = posed.mesh
     if _energy_excludes_strains(posed, result, body_volumes):
@@ -396,7 +397,7 @@ def _body_volumes(posed: Posed) -> np.ndarray:
 
 def _energy_excludes_strains(posed: Posed, result: Result, body_volumes: np.ndarray) -> bool:
     """Return whether u'Au is below the energy of strains STRAIN in the share SHARE of any body: at
-    least C STRAIN^2 SHARE V, C its least stiffness and V its volume (``body_volumes``, m^2 or m^3).
+    least C STRAIN^2 SHARE V, C its least stiffness and V its volume (``body_volumes`` (n_bodies,), m^2 or m^3).
     This spares most solves the strains. Bodies that yield, or that strain without stress, may have
     less energy."""
     if (

@@ -169,9 +169,11 @@ def _groups(problem: DiscreteProblem) -> tuple[np.ndarray, int]:
 
 def _narrow_order(rows: BlockRows, label: np.ndarray, count: int) -> tuple[np.ndarray, int]:
     """Return the places (count,) of aggregates in an order in which the coarse matrix has a narrow band,
-    and the width of the band in aggregates."""
+    and the width of the band in aggregates; ``label`` (n_nodes,) is the aggregate of each node, -1 where
+    it has none."""
     pairs = np.empty((2, rows.nonzeros // rows.dim**2), dtype=np.int32)
     seen = np.full(count, -1, dtype=np.int32)
+    # kinds, indptr and indices, then both rows of ``pairs``, which are filled from the left
     pairs = pairs[:, : _adjacent(*rows.arrays[:3], label, seen, *pairs)]
     coarse = sparse.csr_array(
         (np.ones(pairs.shape[1], dtype=bool), tuple(pairs)), shape=(count, count)
@@ -199,7 +201,7 @@ class Aggregates:
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], n_bodies)
         label = np.full(n, -1, dtype=np.int32)
         queue, depths, members, group_of = np.empty((4, n), dtype=np.int32)
-        graph = rows.arrays[:3]
+        graph = rows.arrays[:3]  # kinds, indptr, indices
         count = _grow(*graph, group, sizes, depth, label, queue, depths, members, group_of)
         label = _joined(rows, label, members[:count], group_of[:count], sizes)
         self.count = int(label.max(initial=-1)) + 1
@@ -308,10 +310,10 @@ def _fill(kinds, indptr, indices, data, label, offsets, held, projections, zero,
     ahead = np.int64(data.ctypes.data) + AHEAD
     for node in range(len(label)):
         i = np.uint64(node)
-        own = label[i]
-        if own < 0:
+        aggregate = label[i]
+        if aggregate < 0:
             continue
-        other = own
+        other = aggregate
         row, origin = table_row(kinds, i)
         for p in range(np.uint64(indptr[row]), np.uint64(indptr[row + ONE])):
             j = table_column(origin, indices, p)
@@ -320,9 +322,9 @@ def _fill(kinds, indptr, indices, data, label, offsets, held, projections, zero,
                 break
             if label[j] < 0:
                 continue
-            start = np.uint64(0) if label[j] == own else start_of_other
-            if label[j] != own and label[j] != other:
-                _project(i, own, other, offsets, held, projections, zero, sums, width, band)
+            start = np.uint64(0) if label[j] == aggregate else start_of_other
+            if label[j] != aggregate and label[j] != other:
+                _project(i, aggregate, other, offsets, held, projections, zero, sums, width, band)
                 other = label[j]
             # the diagonal block is its own transpose: half of it belongs to either half of the matrix
             share = 0.5 if j == i else 1.0
@@ -333,29 +335,29 @@ def _fill(kinds, indptr, indices, data, label, offsets, held, projections, zero,
                 _increase(sums, start + a, dim, force)
                 if len(zero) > 1:
                     _increase(sums, start + dim * dim + a, dim, _moment(offset, force))
-        # the sums that are left at the end of the row: those of its own aggregate and of the last other one
-        for k in range(1 if other == own else 2):
-            last = own if k == 0 else other
-            _project(i, own, last, offsets, held, projections, zero, sums, width, band)
+        # the sums that are left at the end of the row: those of its aggregate and of the last other one
+        for k in range(1 if other == aggregate else 2):
+            last = aggregate if k == 0 else other
+            _project(i, aggregate, last, offsets, held, projections, zero, sums, width, band)
 
 
 @in_loop
-def _project(i, own, other, offsets, held, projections, zero, sums, width, band):
+def _project(i, aggregate, other, offsets, held, projections, zero, sums, width, band):
     """Add to ``band`` B_i' times the columns of the sums for the aggregate ``other``, with the motions B_i
-    of node i in the aggregate ``own``; set these sums to zero. The entry of motion m of ``own`` and
+    of node i in its ``aggregate``; set these sums to zero. The entry of motion m of ``aggregate`` and
     column c stands at ``start + motion_step * m + column_step * c``; see :func:`_fill`."""
     dim = np.uint64(len(zero))
     modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
-    low = modes * np.uint64(own if own < other else other)
-    high = modes * np.uint64(other if own < other else own)
+    low = modes * np.uint64(aggregate if aggregate < other else other)
+    high = modes * np.uint64(other if aggregate < other else aggregate)
     columns = dim * modes
     start = low * width + high - low
-    if own == other:  # row low + c of the band, in its last columns
+    if aggregate == other:  # row low + c of the band, in its last columns
         columns = np.uint64(0)
         start = low * width + width - modes
         motion_step = ONE
         column_step = width
-    elif other < own:  # row high + m and column low + c of the matrix
+    elif other < aggregate:  # row high + m and column low + c of the matrix
         motion_step = ONE
         column_step = width - ONE
     else:  # row high + c and column low + m
@@ -448,6 +450,7 @@ class CoarseCorrection:
         """Add the coarse correction of a residual (n_dofs,) to ``result``."""
         if not self._failed:
             sums = np.zeros(self._factor.shape[1])
+            # down to the aggregates (True), and up again
             _transfer(True, *self._basis, residual, sums)
             _transfer(
                 False, *self._basis, result, dpbtrs(self._factor, sums, lower=1, overwrite_b=1)[0]

@@ -168,9 +168,10 @@ def certify(
     residual: np.ndarray | None = None,
     on_mesh: ConditionsOnMesh | None = None,
 ) -> Certificate:
-    """Check a displacement and the contact forces and states that go with it; of a problem with
-    volumes also their ``pressures``, Pa. ``residual``: b - A w, if it was computed. ``on_mesh``
-    returns the lines that need the mesh (:mod:`adaptmg.solver.closed_forms`).
+    """Check a displacement (n_nodes, dim), m, and the contact forces and states that go with it; of a
+    problem with volumes also their ``pressures`` (n_groups,), Pa. ``residual`` (n_dofs,): b - A w, N, if
+    it was computed. ``on_mesh`` returns the lines that need the mesh
+    (:mod:`adaptmg.solver.closed_forms`).
 
     The energy error is estimated by iteration with the contact status held, in fewer steps where it
     is small against ``rtol``; where the corrected displacement contradicts this status, with a status

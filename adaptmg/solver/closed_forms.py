@@ -257,8 +257,9 @@ def _loads(
 def _resultants(
     places: np.ndarray, forces: np.ndarray, arm: float, body: np.ndarray, count: int
 ) -> np.ndarray:
-    """Return the forces and the moments over ``arm`` (count, k), N, of the forces on each body: in
-    space the moments about z, -y and x, in this order."""
+    """Return the forces and the moments over ``arm`` (count, k), N, of forces (n, dim) at places (n, dim),
+    m, on each of ``count`` bodies, whose numbers ``body`` (n,) holds: in space the moments about z, -y
+    and x, in this order."""
     # x_i f_j - x_j f_i for i < j, over the arm
     arms = places.T / arm
     axes = combinations(range(len(arms)), 2)
@@ -355,8 +356,9 @@ class FreeBodies:
     def _missed_stresses(
         self, evidence: Evidence, spring_forces: np.ndarray, near: Elements
     ) -> np.ndarray:
-        """Return, at the nodes that are held, the forces of stresses and springs minus those of the
-        matrix, A u, which are the load minus what the equations leave."""
+        """Return the forces of stresses and springs (``spring_forces`` (n_nodes, dim)) minus those of the
+        matrix at the n nodes that are held, (n, dim) or in axisymmetry (n,), N. Those of the matrix, A u,
+        are the load minus what the equations leave."""
         discrete = evidence.problem
         # V sigma grad phi_i of the elements
         internal = spring_forces.copy()

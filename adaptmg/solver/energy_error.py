@@ -335,9 +335,9 @@ class _Equations:
             self.most = _MOST_VOLUMES
 
     def direction(self, residual: np.ndarray) -> tuple[_Direction, Callable[[_Direction], float]]:
-        """Return the preconditioned residual (z, q) as a direction, with its image (K (I + D)(K' z + B'q)
-        + K S z, A/kappa q - B z); and its energy product with other directions, that of their values with
-        the gradient (K' z + S z, A/kappa q)."""
+        """Return the preconditioned residual (n,), of displacements and pressures, as a direction (z, q),
+        with its image (K (I + D)(K' z + B'q) + K S z, A/kappa q - B z); and its energy product with other
+        directions, that of their values with the gradient (K' z + S z, A/kappa q)."""
         status = self.status
         shape = -1, status.projections.shape[1]
         z, forces = self.precondition(residual[: self.n])  # z and K' z
@@ -448,9 +448,10 @@ class _GalerkinSolution:
 def _estimated(
     equations: _Equations, load: np.ndarray, negligible: float
 ) -> tuple[HeldCorrection, bool]:
-    """Return a Galerkin solution, and whether further steps would change it little: with volumes where
-    the last two steps have hardly changed its energy; otherwise where the least Ritz value has settled,
-    and the energy that the residual may hold is small."""
+    """Return a Galerkin solution for a load (n,), of displacements and pressures, and whether further
+    steps would change it little: with volumes where the last two steps have hardly changed its energy;
+    otherwise where the least Ritz value has settled, and the energy that the residual may hold is small.
+    An energy up to some multiples of ``negligible``, N m, ends the steps, too (_SURER)."""
     solution = _GalerkinSolution(equations, load)
     energies = [0.0]
     ritz = np.inf
@@ -495,13 +496,15 @@ def _estimated(
 def _factorised(
     problem: DiscreteProblem, status: FrozenStatus, load: np.ndarray, rounding: float
 ) -> HeldCorrection:
-    r"""Return the correction by a factorisation of the equations
+    r"""Return the correction for a load (n,), of displacements and pressures, by a factorisation of the
+    equations
 
     .. math:: (K (I + D) A + K S) K + d\,(I - K),
 
     where d is the largest diagonal entry of A; with volumes there are further rows and columns. Rows of
     displacements get a small shift of the diagonal, which makes the matrix regular where the status
-    leaves motions free. Forces that load such a motion do not balance: the energy is then infinite."""
+    leaves motions free. Forces that load such a motion, by more than ``rounding``, N, do not balance: the
+    energy is then infinite."""
     matrix = problem.matrix
     volumes = problem.volumes
     n = problem.n_dofs

@@ -663,7 +663,8 @@ def touching_patches(contact: ContactResult, mesh: MeshArrays) -> list[Patch]:
         if touching.sum() in (0, on_boundary.sum()):
             continue
         inside = mask_of(contact.node[touching], mesh.n_nodes)
-        # patches: nodes that touch, joined by edges of the boundary
+        # patches: nodes that touch, joined by edges of the boundary, the sides of its facets (in the plane
+        # the facets themselves, twice)
         facets = mesh.boundary_facets(name)
         edges = np.concatenate([facets[:, [i - 1, i]] for i in range(mesh.dim)])
         pairs = edges[inside[edges].all(axis=1)]

@@ -530,8 +530,8 @@ class Smoothing:
         shortfall: Callable[[State, float], float],
         stalled: Status = Status.STALLED,
     ) -> tuple[State, Status, StopTest]:
-        """Iterate until the estimated error is small (``stop="error"``), or the change by a whole step
-        (``stop="change"``, the paper's test at the end of step g)."""
+        """Iterate from ``unknowns`` (n_dofs,) until the estimated error is small (``stop="error"``), or the
+        change by a whole step (``stop="change"``, the paper's test at the end of step g)."""
         start = State(unknowns=unknowns)
         if stop == "error":
             test = StopTest(rtol, limit, shortfall=shortfall, stalled=stalled)

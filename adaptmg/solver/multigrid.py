@@ -295,8 +295,8 @@ def _continued(
     hierarchy: Grids,
     run: Run,
 ) -> Outcome:
-    """Return the outcome of another solver, with the cycles of that ``before`` added; ``before`` if the
-    other one gives up."""
+    """Return the outcome of another solver, from ``start`` (n_unknowns,) or zero (None), with the cycles of
+    that ``before`` added; ``before`` if the other one gives up."""
     _LOG.info(
         "cycle %d: the method does not converge; going on with %s",
         before.cycles,

@@ -116,7 +116,7 @@ class ProjectedRun:
         return self.levels.nested(partial(self._coarsest, start), partial(self._cycled, start))
 
     def _coarsest(self, start: NestedStart) -> np.ndarray:
-        """Return the first solution of the coarsest level."""
+        """Return the first solution (n_dofs,) of the coarsest level, local components."""
         multigrid = self.multigrid(0)
         local = self.problems[0]
         unknowns = np.zeros(local.system.n_dofs)
@@ -128,7 +128,8 @@ class ProjectedRun:
         return unknowns
 
     def _cycled(self, start: NestedStart, level: int, unknowns: np.ndarray) -> np.ndarray:
-        """Return the first solution of a level between the coarsest and the finest."""
+        """Return the first solution (n_dofs,) of a level between the coarsest and the finest: the start
+        ``unknowns`` (n_dofs,), changed in place by a few cycles."""
         multigrid = self.multigrid(level)
         local = self.problems[level]
         for _ in range(start.cycles):
@@ -210,7 +211,8 @@ class SingleGrid(checks.Checked):
     max_sweeps: checks.Count = 200_000
 
     def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
-        """Sweep on the finest level, or on its Schur complement, until the test ends it."""
+        """Sweep on the finest level, or on its Schur complement, from ``start`` (n_dofs,) or zero, until the
+        test ends it."""
         hierarchy.finest.discrete.need_no_volumes("SingleGrid")
         if self.stop == "change":
             hierarchy.finest.discrete.need_given_friction(

@@ -264,7 +264,7 @@ class Quantities:
         return self._extent(np.ones(len(self.contact), dtype=bool))
 
     def _extent(self, chosen: np.ndarray) -> np.ndarray:
-        """Return the half-widths (mesh.dim,) of contact at some contact nodes, a mask."""
+        """Return the half-widths (dim of the mesh,), m, of contact at the ``chosen`` (n_contact,) nodes."""
         contact = self.contact
         mesh = need_mesh(self)
         closed = mask_of(contact.node[chosen & contact.closed], mesh.n_nodes)
@@ -384,7 +384,7 @@ class Quantities:
         # springs act through the boundary, too, unless contact or a tie does
         tied_names = () if self.ties is None else self.ties.names
         if boundary in self.springs and boundary not in tied_names and not self._touches(boundary):
-            of_springs = np.array(self.springs[boundary])
+            of_springs = np.array(self.springs[boundary])  # force, then moment about the origin
             force = of_springs[: self.dim]
             total = total + force
             # their moment about the origin is taken to ``about``
@@ -397,9 +397,9 @@ class Quantities:
         return boundary in names or (boundary == "contact" and bool(self.contact.names))
 
     def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nodes of a boundary and the forces on them: those of contact, and of ties with it,
-        if the boundary has contact; else those of ties; else those of supports without springs. At a
-        corner a node may bear forces of both contact and a support."""
+        """Return the nodes (n,) of a boundary and the forces (n, dim), N, on them: those of contact, and of
+        ties with it, if the boundary has contact; else those of ties; else those of supports without
+        springs. At a corner a node may bear forces of both contact and a support."""
         if self._touches(boundary):
             return self._contact_forces(boundary)
         if self.ties is not None and boundary in self.ties.names:

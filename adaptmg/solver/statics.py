@@ -294,8 +294,8 @@ def _check_enclosed(body: _Body, forces: _Forces) -> None:
 
 
 def _required_friction(body: _Body, work: np.ndarray) -> str:
-    """Return the least coefficient of friction that balances the work on the free motions, as text; ""
-    if none up to ``_STEEPEST`` does."""
+    """Return the least coefficient of friction that balances the ``work`` (k,) on the free motions, as
+    text; "" if none up to ``_STEEPEST`` does."""
     n = len(body.problem.contact)
 
     def unbalanced(coefficient: float) -> float:
@@ -380,7 +380,7 @@ class _Forces:
         return float(cast("float", result.fun)), -result.eqlin.marginals  # the multipliers
 
     def leaves_unbalanced(self, motion: np.ndarray, work: np.ndarray) -> bool:
-        """Return whether no admissible force balances ``work`` on this motion."""
+        """Return whether no admissible force balances ``work`` (k,) on this ``motion`` (k,)."""
         if (motion @ self.edges < -checks.SIX_DIGITS).any():
             return False
         resistance = np.abs(motion @ self.segments) @ self.limits
@@ -496,7 +496,8 @@ def _axis_motions(
     problem: DiscreteProblem, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the motions (n * dim, m) of some nodes along axes through their centre, and about these if
-    the problem has coordinates; the centre; and the size at which a rotation moves a node by 1."""
+    the problem has coordinates; the centre (dim,); and the size, m: the distance from the centre at which
+    a rotation moves a node by 1."""
     dim = problem.dim
     centre = np.zeros(problem.dim)
     size = 1.0
@@ -524,7 +525,8 @@ def _axis_motion_or(
 
 
 def _axis(direction: np.ndarray) -> str:
-    """Return the name of a coordinate axis, or a unit vector."""
+    """Return the name of the coordinate axis along a direction (dim,), with its sign; of other directions
+    the unit vector as text."""
     unit = direction / np.linalg.norm(direction)
     i = int(np.argmax(np.abs(unit)))
     if abs(unit[i]) > 1 - 1e-9:
@@ -543,8 +545,8 @@ _SMALL, _SMALL_CONTACT = 1500, 200
 
 @remembered_of_structure
 def critical_friction(problem: DiscreteProblem) -> np.ndarray:
-    """Return the critical coefficient of each contact node if it touches alone, infinite at nodes that
-    supports hold in part; NaN for bodies that contact holds."""
+    """Return the critical coefficients (n_contact,) of contact nodes that touch alone, infinite at nodes
+    that supports hold in part; NaN for bodies that contact holds."""
     dim = problem.dim
     n = len(problem.contact)
     system, condensed = eliminated(problem)

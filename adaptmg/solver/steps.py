@@ -123,7 +123,8 @@ class Stepped:
         return levels.outcome(state, status, stop, self.rtol)
 
     def coarsest(self, levels: LocalLevels) -> np.ndarray:
-        """Return the solution on the coarsest level, by the active set method."""
+        """Return the solution (n_dofs,) on the coarsest level, in contact frames, by the active set
+        method."""
         local = levels.problem(0)
         solution, steps, passes = coarsest_solution(local.discrete, self.rtol)
         levels.run.count(passes, local.system.nonzeros)
@@ -131,7 +132,7 @@ class Stepped:
         return local.to_local(solution)
 
     def start_steps(self, levels: LocalLevels, number: int, unknowns: np.ndarray) -> np.ndarray:
-        """Return unknowns after a few steps on a level of the nested start."""
+        """Return the unknowns (n_dofs,) of a level of the nested start after a few steps."""
         step = self.step_on(levels, number, unknowns)
         state = State(unknowns=unknowns)
         for _ in range(self.start_cycles):
@@ -141,7 +142,8 @@ class Stepped:
     def step_on(
         self, levels: LocalLevels, number: int, unknowns: np.ndarray
     ) -> Callable[[State], State]:
-        """Return the step that the method sets up for the levels up to ``number``, checked and counted."""
+        """Return the step that the method sets up for the levels up to ``number`` and a start there,
+        ``unknowns`` (n_dofs,), checked and counted."""
         hierarchy = levels.hierarchy
         run = levels.run
         finest = number == len(hierarchy) - 1
@@ -199,7 +201,8 @@ class LocalLevels:
     def nested(
         self, coarsest: Callable[[], np.ndarray], cycled: Callable[[int, np.ndarray], np.ndarray]
     ) -> np.ndarray:
-        """Return the unknowns of a nested start; see :func:`nested_start`."""
+        """Return the unknowns (n_dofs,) of a nested start from the functions ``coarsest`` and ``cycled``; see
+        :func:`nested_start`."""
 
         def prolonged(number: int, unknowns: np.ndarray) -> np.ndarray:
             nodal = self.hierarchy[number].contact_prolongation

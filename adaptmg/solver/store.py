@@ -436,8 +436,9 @@ def fingerprint(
 
 
 def _sums(values: np.ndarray) -> list[float]:
-    """Return the length of an array, its norm, and its product with a fixed wave. Gaps are infinite where
-    there is no limit: then the sums of the finite numbers, and those of the mask of the others."""
+    """Return the length of an array of any shape, its norm, and its product with the wave cos k, k the
+    number of the entry. Gaps are infinite where there is no limit: then these three of the finite numbers,
+    and of the mask of the others."""
     flat = np.asarray(values, dtype=np.float64).reshape(-1)
     if np.isinf(flat).any():
         return [*_sums(np.where(np.isinf(flat), 0.0, flat)), *_sums(np.isinf(flat))]

@@ -529,8 +529,10 @@ class TruncatedRun:
         return self._coarse
 
     def _coarsest(self, start: NestedStart, past: list[np.ndarray] | None) -> list[np.ndarray]:
-        """Solve the coarsest level by semismooth Newton steps, in a load path from the last step. Each
-        counts as a pass; factorisations count as seconds."""
+        """Return the solution (n_unknowns,) of the coarsest level, in a list for those of the levels above
+        it, by semismooth Newton steps, in a load path from the last step (``past``: displacements of the
+        levels). Factorisations count as seconds. Where the method fails the solution is zero but for
+        prescribed values."""
         problem = self.problems[0]
         near = None if past is None or not past[0].any() else past[0]
         try:

@@ -89,8 +89,8 @@ def without_idle_rows(nodal: sparse.csr_array, finer: sparse.csr_array | None) -
 def _with_diagonal_blocks(
     indptr: np.ndarray, indices: np.ndarray, data: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the blocks (indptr, indices, data) of a square matrix with the missing diagonal ones
-    added as zeros, at the end of their rows."""
+    """Return the arrays of a square block matrix, ``indptr`` (n + 1,), ``indices`` (m,) and ``data`` (m,
+    dim, dim), with the missing diagonal blocks added as zeros, at the end of their rows."""
     n = len(indptr) - 1
     rows = np.repeat(np.arange(n), np.diff(indptr))
     has = mask_of(rows[rows == indices], n)
@@ -210,7 +210,7 @@ def aggregated_prolongations(
             # 0: all neighbours are strongly connected
             strength=("symmetric", {"theta": 0.0}),  # pyright: ignore[reportArgumentType]  pyamg has no stubs
             max_coarse=max_coarse,
-            max_levels=10,
+            max_levels=10,  # pyamg's default
         )
     found = [sparse.csr_array(level.P) for level in made.levels[:-1]]
     if dim == modes.shape[1] == 1:

@@ -279,8 +279,9 @@ def _axes(coarse_cells: Sequence[int], fine_cells: Sequence[int], column: int) -
 def _interpolate(
     bodies: list[tuple[slice, Axes]], indptr: np.ndarray, columns: np.ndarray, weights: np.ndarray
 ) -> None:
-    """Write columns and weights of interpolation between lattices; without room for them the number of
-    entries in each row to ``indptr``."""
+    """Write ``columns`` and ``weights`` (n_entries,) of interpolation between lattices, of rows that begin
+    at ``indptr``; without room for them (n_entries 0) the number of entries of row i to ``indptr[i + 1]``.
+    ``bodies`` has for each body its part of ``indptr`` and the places of its lattice."""
     for nodes, (corners, shares, steps) in bodies:
         lines = len(corners[1]) * len(corners[2])
         entries = 4 * (nodes.stop - nodes.start)  # a row has up to four

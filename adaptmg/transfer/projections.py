@@ -8,7 +8,7 @@ e,
 
 Elements that the coarse mesh covers are integrated exactly, by clipping
 (:mod:`adaptmg.geometry.clipping`); those that stick out of it (curved boundaries) by a positive
-rule, exact for degree 6, whose points outside take the coarse value at the closest point: no part
+rule, exact for degree 7, whose points outside take the coarse value at the closest point: no part
 of the fine mesh is lost, and :math:`\sum_j B^e_{ij} = \int_e \varphi^f_i`.
 
 Dickopf and Krause compare them in Numer. Math. Theory Methods Appl. 7 (2014) 288-316.
@@ -122,7 +122,8 @@ class QuasiInterpolation(_Projection):
     """
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
-        coefficients = _patch_coefficients(integrals.fine, *integrals.patches[:2])
+        nodes, elements, _ = integrals.patches
+        coefficients = _patch_coefficients(integrals.fine, nodes, elements)
         return interpolation.clipped_rows(
             integrals.assemble(coefficients), integrals.coarse, integrals.fine
         )[0]
@@ -331,14 +332,16 @@ def overlaps(coarse: MeshArrays, fine: MeshArrays, density: np.ndarray) -> spars
 def _body_entries(
     locator: interpolation.PointLocator, fine: MeshArrays, elements: np.ndarray
 ) -> list[tuple[np.ndarray, ...]]:
-    """Return the entries (fine element, coarse node, integrals with the fine shape functions) of the
-    fine elements that the coarse mesh covers, by clipping, and those of the others, by quadrature."""
+    """Return the entries of :class:`MixedMass` (fine elements (n,), coarse nodes (n,), integrals with the
+    fine shape functions (n, dim + 1)) of fine ``elements`` (m,): of those that the coarse mesh covers, by
+    clipping, and of the others, by quadrature."""
     k = fine.dim + 1
     covered = np.empty(len(elements))
     fine_points = padded(fine.points)
     tree = locator.tree
     fine_maps = affine_maps(fine_points, fine.elements)
     marker = np.full(locator.mesh.n_nodes, -1, dtype=np.int64)
+    # rows of the tables at first, a guess: eight coarse elements for each fine one
     capacity = 8 * k * len(elements) + 64
     element = np.empty(capacity, np.int64)
     columns = np.empty(capacity, np.int32)
@@ -382,7 +385,7 @@ def _quadrature(
     """Return fine elements (n,), coarse nodes (n,) and integrals (n, dim + 1), as :class:`MixedMass`
     has them, over some fine elements by quadrature: each point has the coarse shape functions of the
     nearest point of the coarse mesh."""
-    shape, weights = simplex_rule(fine.dim, 4)
+    shape, weights = simplex_rule(fine.dim, 4)  # the rule of the module
     points = np.einsum("qv,evc->eqc", shape, fine.points[fine.elements[elements]])
     location = locator.locate(points.reshape(-1, fine.dim))
     columns = locator.mesh.elements[location.element]
