@@ -278,7 +278,8 @@ class AdjointSystem:
         return self.contact.cartesian(self.test @ np.where(self.trial, y, 0.0))
 
     def _relative(self, load: np.ndarray, y: np.ndarray) -> float:
-        """Return the Euclidean norm of the residual of y over that of the load."""
+        """Return the Euclidean norm of the residual of y (n_dofs,) over that of the load (n_dofs,), if the
+        latter is not 0."""
         size = float(np.linalg.norm(load))
         residual = float(np.linalg.norm(np.where(self.trial, load - self.matrix @ y, 0.0)))
         return residual / size if size > 0 else residual

@@ -447,6 +447,7 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         # a node without a condition of this boundary takes the zero that is appended
         index = np.full(mesh.n_nodes, len(rows))
         index[contact.node[rows]] = np.arange(len(rows))
+        # at the corners of the facets: numbers (n_facets, dim), vectors (n_facets, dim, dim)
         pressure, gap, limit, traction, slip = (
             np.concatenate([values[rows], np.zeros((1, *values.shape[1:]))])[index[surface.facets]]
             for values in (pressures, gaps, limits, tractions, slips)

@@ -208,6 +208,7 @@ class Goal:
         algebraic = np.array(
             [_algebraic(view, *pair) for pair in zip(functionals, duals, strict=True)]
         )
+        # of each quantity its signed error and the parts (n_nodes,) of the nodes of the halved mesh
         discretised = [
             error.of_functional(*group) for group in zip(functionals, finer, duals, strict=True)
         ]

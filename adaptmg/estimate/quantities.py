@@ -85,8 +85,8 @@ class GoalView:
     def halved(self) -> tuple[GoalView, np.ndarray]:
         """Return the view of the mesh with all edges halved, with the interpolated displacement, and the
         element of this mesh that holds each of its elements (n_elements,)."""
-        made = refined(self.mesh, np.ones(len(self.mesh.elements), dtype=bool))
-        mesh = onto_domain(self.problem.domain, made.mesh, self.mesh.n_nodes)
+        bisected = refined(self.mesh, np.ones(len(self.mesh.elements), dtype=bool))
+        mesh = onto_domain(self.problem.domain, bisected.mesh, self.mesh.n_nodes)
         slips = np.zeros(self.displacement.shape)
         states = np.full(self.mesh.n_nodes, _NONE)
         slips[self.touching.nodes] = self.touching.slip_reference
@@ -101,7 +101,7 @@ class GoalView:
         # H = g/|s| (I - f f') is left out: the limits g would come from A u - b, which is not a contact
         # force of the interpolated u
         contact = replace(contact, hessian=np.zeros_like(contact.hessian))
-        return GoalView(self.problem, mesh, u, contact, self), made.origin
+        return GoalView(self.problem, mesh, u, contact, self), bisected.origin
 
 
 #: the state of a node without a contact condition
@@ -131,8 +131,8 @@ def _mean(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _looser(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the state between two nodes: the looser one, as the solution does not say where contact
-    ends (the codes ascend: OPEN, SLIP, STICK), or that of the node that has one."""
+    """Return the states (n,) between two nodes each: the looser one, as the solution does not say where
+    contact ends (the codes ascend: OPEN, SLIP, STICK), or that of the node that has one."""
     return np.where(a == _NONE, b, np.where(b == _NONE, a, np.minimum(a, b)))
 
 

@@ -80,8 +80,8 @@ def scalar_squares(
 
 
 def _check_same(name: str, difference: np.ndarray, sizes: tuple[np.ndarray, np.ndarray]) -> None:
-    """Raise ValueError unless a difference of ``name`` between result and problem is rounding, of
-    quantities with these ``sizes``."""
+    """Raise ValueError unless a difference (n,) of ``name`` between result and problem is rounding, of
+    two quantities with these ``sizes``, arrays."""
     allowed = checks.SIX_DIGITS * max(np.abs(part).max(initial=0.0) for part in sizes)
     if not (np.abs(difference) <= allowed).all():
         raise ValueError(

@@ -503,7 +503,7 @@ class Controls:
         return result, trial.carried, self.motions_of(parts, trial.values * search.sizes)
 
     def take(self, factors: Mapping[str, float], motions: Mapping[str, np.ndarray]) -> None:
-        """Continue after a step with these factors and motions."""
+        """Continue after a step with these factors of loads, and motions as in :attr:`motions`, by name."""
         self.factors = dict(factors)
         self.motions = dict(motions)
         self.places = self.placed(factors, motions)

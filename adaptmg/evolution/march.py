@@ -155,10 +155,10 @@ def march(
         checks.optional_callable(
             "progress", progress, "the number of a step and a row of its history (or a bool)"
         )
-    made, solver, choice = method_argument(method, _time_step_grids(grids, dynamics), rtol)
+    step_grids, solver, choice = method_argument(method, _time_step_grids(grids, dynamics), rtol)
     if isinstance(getattr(solver, "rtol", None), str):
         raise ValueError("method: rtol must be a number in a march, got 'discretisation'")
-    loop = March(made, dynamics, solver, choice, start)
+    loop = March(step_grids, dynamics, solver, choice, start)
     steps = None
     if store is not None:
         # neither the end nor the number of steps matters to a step
@@ -169,8 +169,8 @@ def march(
             "start": loop.displacement,
         }
         loads = [load_steps(loop.posed, loop.discrete)]
-        mark = fingerprint(made, loads, {}, 1, parts, depends)
-        steps = StepStore.resumed(store, _HEAD, {"fingerprint": mark}, KINDS)
+        march_fingerprint = fingerprint(step_grids, loads, {}, 1, parts, depends)
+        steps = StepStore.resumed(store, _HEAD, {"fingerprint": march_fingerprint}, KINDS)
     return _results(loop, steps, certify_every, throw, progress)
 
 

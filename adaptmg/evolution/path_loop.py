@@ -268,7 +268,7 @@ class PathLoop:
         return quiet and bool((contact.gap >= 0).all()) and not contact.limit[has_slipped].any()
 
     def _loading(self, k: int, motions: Mapping[str, np.ndarray]) -> dict[str, float]:
-        """Return the factors of all loads; those of preloads are strains."""
+        """Return the factors of all loads by name; those of preloads are strains, from ``motions``."""
         bolts = {bolt.path_name: float(motions[bolt.path_name][0]) for bolt in self.controls.bolts}
         return self._factors_at(k) | bolts
 

@@ -178,7 +178,7 @@ class PlasticLoop(PathLoop):
 
 
 def _state_of(result: Result) -> np.ndarray:
-    """Return the states of the plastic patches at the end of a step."""
+    """Return the states (n_patches, n) of the plastic patches at the end of a step."""
     data = cast("StressData", result.stress_data)
     return cast("PlasticState", data.plastic).state
 
@@ -261,8 +261,8 @@ class _Newton:
             # coarse levels that are only spaces have Galerkin products, here of the tangent
             if not grids.discretised:
                 coarse = [level.prolongation for level in grids.levels[1:]]
-                made = Grids.from_prolongations(tangent, coarse)
-                grids = replace(grids, levels=(*made.levels[:-1], grids.finest))
+                galerkin = Grids.from_prolongations(tangent, coarse)
+                grids = replace(grids, levels=(*galerkin.levels[:-1], grids.finest))
             finest = grids.finest.posing(discrete=tangent)
             return replace(grids, levels=(*grids.levels[:-1], finest))
 

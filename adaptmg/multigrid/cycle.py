@@ -693,7 +693,7 @@ class NestedStart(checks.Checked):
 
 
 def project(local: LocalProblem, unknowns: np.ndarray) -> None:
-    """Put normal displacements that exceed the gap back onto the obstacle, in place."""
+    """Put normal displacements of unknowns (n_dofs,) that exceed the gap back onto the obstacle, in place."""
     normal = local.system.nodes.astype(np.int64) * local.system.dim
     unknowns[normal] = local.contact.clamped(unknowns[normal])
 
@@ -711,7 +711,8 @@ def prolonged_start(
 def initial_contact(
     local: LocalProblem, unknowns: np.ndarray, residual: np.ndarray
 ) -> InitialContact:
-    """Return the slip and sliding limit of a first solution (the paper's U0 and G0)."""
+    """Return the slip and sliding limit of a first solution (n_dofs,) with its residual (n_dofs,) (the
+    paper's U0 and G0)."""
     system = local.system
     slip = unknowns.reshape(-1, system.dim)[system.nodes][:, 1:] - local.contact.slip_reference
     return InitialContact(slip=slip, limit=sliding_limit(system, local.contact, residual))

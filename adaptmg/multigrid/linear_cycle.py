@@ -45,17 +45,17 @@ class LinearLevel:
 
     @cached_property
     def load(self) -> np.ndarray:
-        """Return the vector to which :meth:`restrict` of the next finer level writes."""
+        """Return the vector (n_dofs,) to which :meth:`restrict` of the next finer level writes."""
         return np.zeros(self.matrix.n_dofs)
 
     @cached_property
     def solution(self) -> np.ndarray:
-        """Return the vector of the solution, which each cycle overwrites."""
+        """Return the vector (n_dofs,) of the solution, which each cycle overwrites."""
         return np.zeros(self.matrix.n_dofs)
 
     @cached_property
     def rest(self) -> np.ndarray:
-        """Return the vector in which :meth:`presmooth` leaves the residual."""
+        """Return the vector (n_dofs,) in which :meth:`presmooth` leaves the residual."""
         return np.zeros(self.matrix.n_dofs)
 
     @cached_property
@@ -80,8 +80,8 @@ class LinearLevel:
         return sum(squares)
 
     def prolong(self, coarse: np.ndarray, to: np.ndarray, begin: np.ndarray | None = None) -> None:
-        """Add a prolonged vector of the level below to a vector of this level; with ``begin`` write the
-        sum of ``begin`` and the prolonged vector to it."""
+        """Add P ``coarse``, a vector (n_dofs coarse,) of the level below, to a vector ``to`` (n_dofs,) of
+        this level; with ``begin`` (n_dofs,) write ``begin`` + P ``coarse`` to it."""
         begin = to if begin is None else begin
         n = self.prolongation.shape[0]
         in_parts(add_prolonged, n, 2 * len(to), *self._transfer, coarse, begin, to)
@@ -129,8 +129,8 @@ class LinearLevel:
         return passes + 1.0  # U, L
 
     def postsmooth(self, load: np.ndarray, sweeps: int) -> float:
-        """Smooth from the solution, in the order that makes the cycle symmetric; returns the passes
-        over the matrix."""
+        """Smooth from the solution, for a load (n_dofs,), in the order that makes the cycle symmetric; return
+        the passes over the matrix."""
         matrix = self.matrix
         u = self.solution
         if self.smoother is not None:

@@ -201,7 +201,8 @@ class _Descent:
     def step(self) -> np.ndarray | None:
         """Take a step; return its combination of motions (m,), None at a minimum."""
         contact = self.contact
-        # c moves no closed node along its normal, and no held one along its tangents
+        # c moves no closed node along its normal, and no held one along its tangents. Slips are
+        # (n_contact, dim - 1), ``tangents`` have the j free motions last
         slip = self.values[:, 1:] - self.reference
         closed = self.values[:, 0] >= contact.gap
         resists = (contact.limit > 0) | (closed & (contact.friction > 0))
@@ -243,6 +244,7 @@ class _Descent:
         if length == first_closing:
             closed[np.argmin(closes_at)] = True
         else:
+            # the slip that the step leaves, over the distance by which it moves the node
             left = np.linalg.norm(slip + length * slip_rate, axis=1)
             share_left = np.full(len(left), np.inf)
             np.divide(left, length * speed, out=share_left, where=bound > 0)

@@ -95,7 +95,8 @@ class SplitMatrix:
 
     @property
     def shared_arrays(self) -> tuple[np.ndarray, ...]:
-        """Return what sweeps read that need L alone: ``kinds``, L and the inverse blocks."""
+        """Return what sweeps read that need L alone: ``kinds``, the three arrays of L, and the inverse
+        blocks."""
         # L before the inverse blocks: it makes both again, if they were set aside
         return self.kinds, *self.lower_arrays, self.inverse
 
@@ -417,12 +418,12 @@ def _nested(
 ) -> bool:
     """Return whether ``coarse`` is the Galerkin matrix. The answer is stored in the level above, with both
     matrices that it holds for, since growing hierarchies ask each time."""
-    answer = above.__dict__.get("_galerkin_of")
-    if answer is None or answer[0] is not matrix or answer[1] is not coarse:
-        answer = matrix, coarse, is_galerkin(matrix, nodal, coarse)
+    stored = above.__dict__.get("_galerkin_of")
+    if stored is None or stored[0] is not matrix or stored[1] is not coarse:
+        stored = matrix, coarse, is_galerkin(matrix, nodal, coarse)
         # next to the fields of the frozen level, which it follows from
-        object.__setattr__(above, "_galerkin_of", answer)
-    return answer[2]
+        object.__setattr__(above, "_galerkin_of", stored)
+    return stored[2]
 
 
 def is_galerkin(

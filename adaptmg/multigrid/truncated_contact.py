@@ -226,9 +226,9 @@ class TruncatedContact:
             return 1.0
         before = self.values[:: self.dim]
         change = self.normal_components(unknowns) - before
-        left = self.gap - before
-        closing = (self.codes & CLOSED == 0) & (change > left)
-        return float((left[closing] / change[closing]).min(initial=1.0))
+        clearance = self.gap - before
+        closing = (self.codes & CLOSED == 0) & (change > clearance)
+        return float((clearance[closing] / change[closing]).min(initial=1.0))
 
     def update_status(self, residual: np.ndarray) -> tuple[int, float, float]:
         """Update the status after a sweep; ``residual`` is f - A u (n_dofs,). Return the number of
@@ -305,7 +305,7 @@ class TruncatedContact:
         return self.limit + np.where(self.codes & CLOSED, self.friction * self.pressure, 0.0)
 
     def truncate(self, residual: np.ndarray) -> float:
-        """Truncate the residual f - A u, in place; return its sum of squares at the contact nodes."""
+        """Truncate the residual f - A u (n_dofs,), in place; return its sum of squares at the contact nodes."""
         squares = truncate(
             ZERO[self.dim],
             self.codes,
@@ -335,7 +335,7 @@ class TruncatedContact:
         return float(np.sum(along**2))
 
     def project(self, unknowns: np.ndarray) -> int:
-        """Make a corrected iterate admissible, in place; returns the number of nodes that had to be
+        """Make a corrected iterate (n_dofs,) admissible, in place; return the number of nodes that had to be
         cut."""
         return self._project(unknowns, self.codes)
 
@@ -381,7 +381,8 @@ class TruncatedContact:
         return cut
 
     def _cut(self, unknowns: np.ndarray, codes: np.ndarray, move: bool) -> int:
-        """Return the number of nodes that the projection cuts; with ``move`` cut them, in place."""
+        """Return the number of nodes that the projection of unknowns (n_dofs,) cuts for a status, the
+        ``codes`` (n_contact,); with ``move`` cut them, in place."""
         return project(
             ZERO[self.dim],
             codes,
@@ -397,7 +398,7 @@ class TruncatedContact:
         )
 
     def admits(self, unknowns: np.ndarray) -> bool:
-        """Return whether an iterate closes open nodes or reverses slips at one node at most, which
+        """Return whether an iterate (n_dofs,) closes open nodes or reverses slips at one node at most, which
         the projection cuts."""
         return self._cut(unknowns, self.codes, move=False) <= 1
 

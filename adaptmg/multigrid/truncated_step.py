@@ -436,7 +436,8 @@ class TruncatedStep:
     def _interface_sweep(
         self, state: TruncatedState, interface: Interface, order: np.ndarray
     ) -> None:
-        """Sweep once over the nodes near the interface, in an order of its nodes."""
+        """Sweep once over the nodes near the interface; ``order`` (n,) has their places in
+        ``interface.nodes``."""
         contact = state.contact
         projected_sweeps.local(
             ZERO[self.matrix.dim],
@@ -706,7 +707,7 @@ def _eliminated(
 
 
 def _without(rows: sparse.csr_array, fixed: np.ndarray) -> sparse.csr_array:
-    """Return the rows with zeros in the columns of fixed dofs."""
+    """Return the rows (m, n_dofs) with zeros in the columns of the dofs ``fixed`` (n,), numbers."""
     free = np.ones(rows.shape[1])
     free[fixed] = 0.0
     return sparse.csr_array(

@@ -70,7 +70,7 @@ class VolumePressures:
         return self.volumes.missed(unknowns, pressures) + self._prescribed
 
     def forces_missed(self, missed: np.ndarray) -> float:
-        """Return the sum of squares of such deviations as forces, N^2."""
+        """Return the sum of squares of such deviations (n_groups,) as forces, N^2."""
         forces = self.volumes.scale * missed
         return float(np.einsum("i,i->", forces, forces))
 

@@ -92,7 +92,7 @@ class DenseFactors:
     order: np.ndarray  # (k,) int: dofs in the order of elimination
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Return the solution for a right-hand side, 0 at other dofs than ``order``."""
+        """Return the solution (n_dofs,) for a right-hand side (n_dofs,), 0 at other dofs than ``order``."""
         result = np.zeros_like(rhs)
         result[self.order] = linalg.lapack.dpotrs(self.lower, rhs[self.order], lower=1)[0]
         return result
@@ -259,7 +259,7 @@ class Eliminated:
         return result
 
     def _stiffness(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return (S + Sigma) w_c, the right-hand side of M at c that leads to w_c."""
+        """Return (S + Sigma) w_c (n,), the right-hand side of M at c that leads to w_c (n,)."""
         return self.matrix @ unknowns + self.shift * unknowns
 
 
@@ -290,7 +290,7 @@ class Condensed(Eliminated):
 
     @cached_property
     def reduced(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the interior solution and the condensed load; see :meth:`reduce`."""
+        """Return the interior solution (n_dofs,) and the condensed load (n,); see :meth:`reduce`."""
         return self.reduce(self.full.load)
 
     @property
@@ -320,7 +320,8 @@ class Condensed(Eliminated):
     def recover(self, unknowns: np.ndarray) -> np.ndarray:
         """Return all unknowns (n_dofs,) from those at the contact nodes (n_contact * dim,), local
         components."""
-        # one step of iterative refinement of the interior
+        # one step of iterative refinement of the interior, from its first solution; reduce returns the
+        # interior solution first
         result = self.complete(self.reduced[0], unknowns)
         rest = self.full.load - self.full.system.matrix @ result
         return result + self.complete(self.reduce(rest)[0], np.zeros_like(unknowns))

@@ -255,7 +255,7 @@ class _Method:
         state[rough, _SLIP_BOUND] = 1.1 * slips + distance
 
     def _factorise(self) -> Callable[[np.ndarray], np.ndarray] | None:
-        """Factor S with the blocks; see :meth:`Span.factors`."""
+        """Return the solution of equations with S and the ``blocks``; see :meth:`Span.factors`."""
         return self.span.factors(np.ascontiguousarray(self.blocks[:, : self.dim, : self.dim]))
 
     def iterate(self) -> Interior:
@@ -408,8 +408,8 @@ class ContactDofs:
 
 
 def dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Return the solution of equations with a matrix, which is overwritten, as a function of
-    right-hand sides; None where the matrix is singular."""
+    """Return the solution (m,) of equations with a matrix (m, m), which is overwritten, as a function of
+    right-hand sides (m,); None where the matrix is singular."""
     # LAPACK stores by columns: the transpose, in the memory of the matrix, is overwritten without a copy
     lower, pivots, info = linalg.lapack.dgetrf(matrix.T, overwrite_a=True)
     return None if info else lambda rhs: linalg.lapack.dgetrs(lower, pivots, rhs, trans=1)[0]

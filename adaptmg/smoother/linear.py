@@ -328,5 +328,6 @@ class Preconditioned:
 
 
 def _energy(residual: np.ndarray, preconditioned: np.ndarray) -> float:
-    """Return the energy norm of the error, as the preconditioner estimates it; sqrt(N m)."""
+    """Return the energy norm of the error, sqrt(N m), as the preconditioner estimates it: the root of
+    r . P r from the residual r (n,) and the preconditioned one P r (n,)."""
     return float(np.sqrt(max(float(np.einsum("i,i->", residual, preconditioned)), 0.0)))

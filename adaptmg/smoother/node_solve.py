@@ -406,6 +406,7 @@ def _slip_in_eigenbasis(
         p = p_stick - theta * coupling
         bound = limit + friction * max(p, 0.0)
         excess = force - bound
+        # the size of what the excess sums: below its rounding there is no better root
         terms = force + limit + friction * (abs(p_stick) + theta * abs(coupling))
         if abs(excess) <= EPSILON * terms:
             break

@@ -148,8 +148,8 @@ class NodalContact:
 
     @property
     def reference(self) -> np.ndarray:
-        """Return the flat array that kernels read next to the gap: displacements of zero slip, of
-        scalar problems the lowest values."""
+        """Return the flat array that kernels read next to the gap: displacements of zero slip
+        (n_contact * (dim - 1),), of scalar problems the lowest values (n_contact,)."""
         return self.slip_reference.reshape(-1) if self.lowest is None else self.lowest
 
     def opening(self, normal: np.ndarray) -> np.ndarray:

@@ -373,7 +373,7 @@ class _Newton:
             return replace(state, gives_up=Status.STALLED)  # no contact to be inside of
         if not state.tolerances:
             return replace(state, gives_up=Status.CYCLING)
-        tolerance, *left = state.tolerances
+        tolerance, *later_tolerances = state.tolerances
         interior = interior_point(
             *self.linear_steps.interior_problem(),
             self.local.contact,
@@ -391,7 +391,7 @@ class _Newton:
         return _NewtonState(
             unknowns=self.linear_steps.from_interior(interior),
             cycles=state.cycles + interior.steps,
-            tolerances=tuple(left),
+            tolerances=tuple(later_tolerances),
         )
 
     def _decided(self, state: _NewtonState, hold: bool = False) -> _NewtonState:
@@ -678,9 +678,9 @@ def coarsest_solution(problem: DiscreteProblem, rtol: float) -> tuple[np.ndarray
     """Return what :func:`coarsest_solution_near` does, from no start: once for a problem, as all
     hierarchies of an adaptive loop have the same coarsest level, whose solution took 4 % of a loop to
     20 000 nodes."""
-    found = coarsest_solution_near(problem, rtol, start=None)
-    checks.freeze(*found)
-    return found
+    solved = coarsest_solution_near(problem, rtol, start=None)
+    checks.freeze(*solved)
+    return solved
 
 
 def coarsest_solution_near(

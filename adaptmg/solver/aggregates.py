@@ -138,7 +138,7 @@ def _adjacent(kinds, indptr, indices, label, seen, aggregate, neighbour):
     """Write the pairs of different aggregates that entries of the matrix join, few of them twice:
     ``seen`` (n_aggregates,), -1 at first, has the aggregate that each was last paired with. Return
     the number of pairs."""
-    found = 0
+    n_pairs = 0
     for i in range(len(label)):
         if label[i] < 0:
             continue
@@ -147,10 +147,10 @@ def _adjacent(kinds, indptr, indices, label, seen, aggregate, neighbour):
             other = label[table_column(origin, indices, p)]
             if other >= 0 and other != label[i] and seen[other] != label[i]:
                 seen[other] = label[i]
-                aggregate[found] = label[i]
-                neighbour[found] = other
-                found += 1
-    return found
+                aggregate[n_pairs] = label[i]
+                neighbour[n_pairs] = other
+                n_pairs += 1
+    return n_pairs
 
 
 def _groups(problem: DiscreteProblem) -> tuple[np.ndarray, int]:

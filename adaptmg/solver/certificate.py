@@ -465,7 +465,8 @@ class Evidence:
         return np.where(self.problem.contact.exponent > 1, share * self.gap, self.gap)
 
     def _forces(self, name: str, forces: np.ndarray) -> Condition:
-        """Return the line of forces that should vanish, N, by their norm over the scale of forces."""
+        """Return the line of forces, N, of any shape, that should vanish, by their norm over the scale of
+        forces."""
         total = float(np.linalg.norm(forces))
         return Condition(
             name,
@@ -477,7 +478,7 @@ class Evidence:
         )
 
     def _lengths(self, name: str, lengths: np.ndarray) -> Condition:
-        """Return the line of lengths that should vanish, m, by the largest over the scale of lengths;
+        """Return the line of lengths (n,), m, that should vanish, by the largest over the scale of lengths;
         displacements are rounded in their last digits."""
         largest = float(np.abs(lengths).max(initial=0.0))
         return Condition(
@@ -533,15 +534,15 @@ class Evidence:
         required = np.einsum("nd,nd->n", self.at_contact, self.normals) - self.pressure
         tension = np.maximum(np.maximum(required, -self.pressure), 0.0)
         # each in its scale: a rounding force times a gap of a thousand displacements is not a violation
-        both = np.maximum(
+        smaller = np.maximum(
             np.minimum(self.pressure / (self.force or 1.0), gap / (self.length or 1.0)), 0.0
         )
         complementarity = Condition(
             "complementarity",
-            largest=float(both.max(initial=0.0)),
-            total=_norm(both),
+            largest=float(smaller.max(initial=0.0)),
+            total=_norm(smaller),
             unit="",
-            relative=_norm(both),
+            relative=_norm(smaller),
             rounding=ratio(self.rounding, self.force) + 16 * _EPSILON,
         )
         return (
@@ -745,11 +746,11 @@ class Evidence:
         # A (u + change) - b, minus the contact forces after the change
         forces = (image - residual).reshape(self.u.shape)
         forces[contact.nodes] -= contact_forces
-        left, _ = self._error_with_status_held(
+        error_left, _ = self._error_with_status_held(
             changed_conditions, self.unknowns + change, forces, aggregates
         )
-        changed = float(np.hypot(change_size, left))
-        if left <= _FOUND * change_size:
+        changed = float(np.hypot(change_size, error_left))
+        if error_left <= _FOUND * change_size:
             return changed
         # the aggregates have not found the status: the error is at most that with the status held, or
         # the size of the change
@@ -799,7 +800,8 @@ class Evidence:
         # this adds the held parts of what is missed. At contact nodes they come on top of the change above:
         # its slips have no held parts, and normals have some only where a support is inclined to the surface
         z += (missed - problem.free_part(missed)).reshape(z.shape)
-        # K: tangents I - n n' of nodes that slide, normals n n' of nodes that touch nothing rigid
+        # K: tangents I - n n' of nodes that slide, normals n n' of nodes that touch nothing rigid, all
+        # projections (n_contact, dim, dim)
         normal_parts = normals[:, :, None] * normals[:, None]
         tangential_parts = np.eye(dim) - normal_parts
         slides = friction.slides[:, None, None] * tangential_parts

@@ -178,7 +178,7 @@ class ContactResult:
 
     def counts(self, mask: np.ndarray | None = None) -> dict[str, int]:
         """Return the number of nodes by state, 'open', 'slip' and 'stick'; of all nodes or of those in
-        a mask."""
+        a mask (n,)."""
         states = np.asarray(self.state if mask is None else self.state[mask])
         return {name: int((states == code).sum()) for name, code in _STATES.items()}
 
@@ -523,7 +523,7 @@ ROUNDING = 8 * np.finfo(float).eps
 
 
 def energy_norm(unknowns: np.ndarray, forces: np.ndarray) -> float:
-    """Return sqrt(w' A w) from w and A w, 0 where rounding makes it negative."""
+    """Return sqrt(w' A w) from w (n,) and A w (n,), 0 where rounding makes w' A w negative."""
     # not through BLAS: its threads cost more than a short dot product gains, several times over on
     # a busy machine
     return float(np.sqrt(max(float(np.einsum("i,i->", unknowns, forces)), 0.0)))
@@ -608,7 +608,8 @@ class Sizes:
         return max(self.load, contact, reactions)
 
     def _in_supports(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the forces of the stresses at fixed dofs, A w + A ubar there."""
+        """Return the forces (n_fixed,) of the stresses at fixed dofs, A w + A ubar there, of unknowns w
+        (n_dofs,)."""
         return self._fixed_rows @ self._cartesian(unknowns) + self._lift_at_fixed
 
     def _cartesian(self, unknowns: np.ndarray) -> np.ndarray:

@@ -67,9 +67,9 @@ def method_argument(
     discrete = grids.finest.discrete
     if solver is None and single and len(grids) > 1 and is_small(discrete):
         why = f"for {discrete.n_dofs} unknowns the quickest is the active set method"
-        alone = grids.finest.posing(prolongation=None, surface_prolongation=None)
+        finest_alone = grids.finest.posing(prolongation=None, surface_prolongation=None)
         # the seconds that made the levels are not those of the solve
-        return replace(grids, levels=(alone,), timings={}), FinestFirst(grids, rtol), why
+        return replace(grids, levels=(finest_alone,), timings={}), FinestFirst(grids, rtol), why
     grids, method, why = _method(solver, grids)
     return grids, method if rtol is None else replace(cast("Any", method), rtol=rtol), why
 
@@ -91,11 +91,11 @@ def _method(solver: Solver | Method | None, grids: Grids) -> tuple[Grids, Solver
     why = f"for one mesh of {grids.finest.discrete.n_dofs} unknowns the quickest is "
     if not factorisable(level.discrete, FACTORISED):
         with suppress(ValueError):  # nothing to coarsen
-            made = Grids.algebraic(level.discrete)
-            finest = made.finest.posing(mesh=level.mesh, posed=level.posed)
-            levels = (*made.levels[:-1], finest)
-            made = replace(made, levels=levels, problem=grids.problem)
-            return made, Multigrid(), why + "multigrid on coarse spaces made from its matrix"
+            algebraic = Grids.algebraic(level.discrete)
+            finest = algebraic.finest.posing(mesh=level.mesh, posed=level.posed)
+            levels = (*algebraic.levels[:-1], finest)
+            algebraic = replace(algebraic, levels=levels, problem=grids.problem)
+            return algebraic, Multigrid(), why + "multigrid on coarse spaces made from its matrix"
     return grids, ActiveSet(), why + "the active set method"
 
 

@@ -112,7 +112,8 @@ class ProjectedRun:
         )
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
-        """Solve level by level from the coarsest (steps a and b of the paper)."""
+        """Return the start (n_dofs,) on the finest level, after solves level by level from the coarsest
+        (steps a and b of the paper)."""
         return self.levels.nested(partial(self._coarsest, start), partial(self._cycled, start))
 
     def _coarsest(self, start: NestedStart) -> np.ndarray:
@@ -138,7 +139,7 @@ class ProjectedRun:
         return unknowns
 
     def _remember(self, multigrid: MultigridCycle, level: int, unknowns: np.ndarray) -> None:
-        """Store slips and limits of a first solution, if the correction needs them."""
+        """Store slips and limits of a first solution (n_dofs,), if the correction needs them."""
         if self.correction.needs_initial:
             local = self.problems[level]
             r = multigrid.residual(level, local.load, unknowns)
@@ -304,6 +305,7 @@ class _CondensedSizes(Sizes):
         return super().nothing_strains(contact, rounding, self._whole(unknowns))
 
     def _whole(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the unknowns of all nodes, where the norms need others than those at contact."""
+        """Return the unknowns (n_dofs,) of all nodes, where the norms need others than those at contact; else
+        those at contact (n_contact * dim,) unchanged."""
         needed = self.prescribed or self._problem.strain_free is not None
         return self._condensed.recover(unknowns) if needed else unknowns

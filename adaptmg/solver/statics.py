@@ -148,7 +148,8 @@ class _Body:
 
     @property
     def pieces(self) -> list[tuple[str, np.ndarray]]:
-        """Return the names of the bodies of this part in messages, and their nodes."""
+        """Return the names of the bodies of this part in messages, and their nodes (n,): of a single body
+        the name is empty."""
         bodies = self.problem.bodies or {}
         inside = [
             (f"body {name!r}", nodes)
@@ -358,8 +359,8 @@ class _Forces:
         # balanced by any edge that works against the load, or as far as the Tresca part resists
         if k == 1:
             balanced = (self.edges[0] * np.sign(work) < -checks.SIX_DIGITS).any()
-            left = abs(work[0]) - np.abs(self.segments[0]) @ self.limits
-            return 0.0 if balanced else max(float(left), 0.0), np.sign(work)
+            unbalanced = abs(work[0]) - np.abs(self.segments[0]) @ self.limits
+            return 0.0 if balanced else max(float(unbalanced), 0.0), np.sign(work)
         from scipy.optimize import linprog
 
         # least sum of the parts >= 0 of an unbalanced force, on each motion one in either direction,

@@ -149,9 +149,9 @@ class Stepped:
         finest = number == len(hierarchy) - 1
         with run.phase("setup"):
             below = hierarchy if finest else hierarchy.truncated(finest=number)
-            made = self.method.setup(below, State(unknowns=unknowns))
+            returned = self.method.setup(below, State(unknowns=unknowns))
         words = "an object with step(state) -> state"
-        stepper = checks.offers("solver: what setup returns", made, "step", words)
+        stepper = checks.offers("solver: what setup returns", returned, "step", words)
         system = levels.problem(number).system
 
         def step(state: State) -> State:

@@ -523,7 +523,9 @@ class TruncatedRun:
     def _coarse_contact(self, step: TruncatedStep) -> CoarseContact | CoarseObstacles:
         """Return the coarse contact problem of the finest level, made when it is first needed."""
         if self._coarse is None or self._coarse.step is not step:
-            coordinates = [None if each is None else each.coordinates for each in self.problems]
+            coordinates = [
+                None if problem is None else problem.coordinates for problem in self.problems
+            ]
             scalar = step.contact.dim == 1
             self._coarse = CoarseObstacles(step) if scalar else CoarseContact(step, coordinates)
         return self._coarse
@@ -555,8 +557,8 @@ class TruncatedRun:
         cycles of the nested start, or unchanged if these diverge."""
         parts = self.steps_on(number)
         problem = self.problems[number]
-        *below, given = solutions
-        state = parts.begin(problem.from_prescribed(given))
+        *below, prolonged = solutions
+        state = parts.begin(problem.from_prescribed(prolonged))
         state = self._few_cycles(parts, problem, state, start.cycles)
         # the cycles of finer levels go through the same coarse matrices, which these have truncated
         parts.restore()
@@ -579,7 +581,7 @@ class TruncatedRun:
         sizes = Sizes(problem)
 
         def trust_limit(unknowns: np.ndarray, reactions: float = 0.0) -> float:
-            """Return the natural residual, N, up to which a state is trusted."""
+            """Return the natural residual, N, up to which a state with these unknowns (n_dofs,) is trusted."""
             return self.TRUSTED * sizes.forces(unknowns, reactions)
 
         least_residual = np.inf

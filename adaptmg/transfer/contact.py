@@ -266,10 +266,10 @@ def _checked_prolongation(
     """Return the prolongation that a transfer builds; ValueError unless it is a sparse matrix of
     the right shape with finite entries, the largest of them neither tiny nor huge (checks.VAST)."""
     returned = transfer.build(coarse, fine)
-    wanted = (fine.n_nodes, coarse.n_nodes)
-    if sparse.issparse(returned) and returned.shape != wanted:
+    shape = (fine.n_nodes, coarse.n_nodes)
+    if sparse.issparse(returned) and returned.shape != shape:
         raise ValueError(
-            f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
+            f"transfer.build must return a matrix of shape {shape} (fine, coarse nodes), "
             f"got {returned.shape}"
         )
     nodal = checks.sparse_matrix(
@@ -336,12 +336,14 @@ def _rows_on_side(
         rows @ sparse.diags_array(mask_of(coarse_slaves, rows.shape[1]).astype(float))
     )
     sums = np.asarray(same_side.sum(axis=1)).ravel()
-    lost = np.flatnonzero(sums <= CLIP)
+    without_entries = np.flatnonzero(sums <= CLIP)
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
-    _, at = cKDTree(coarse_points[coarse_slaves]).query(points[lost])
+    _, at = cKDTree(coarse_points[coarse_slaves]).query(points[without_entries])
     nearest = coarse_slaves[at]
-    filled = sparse.csr_array((np.ones(len(lost)), (lost, nearest)), shape=rows.shape)
+    filled = sparse.csr_array(
+        (np.ones(len(without_entries)), (without_entries, nearest)), shape=rows.shape
+    )
     scale = np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > CLIP)
     result = sparse.csr_array(sparse.diags_array(scale) @ same_side + filled)
     result.eliminate_zeros()

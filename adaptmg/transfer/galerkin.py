@@ -204,7 +204,7 @@ def aggregated_prolongations(
         near_nullspace = np.tile(np.eye(dim), (matrix.shape[0] // dim, 1))
     modes = np.where(fixed[:, None], 0.0, near_nullspace)
     with one_blas_thread(), seeded():
-        made = pyamg.smoothed_aggregation_solver(
+        multilevel = pyamg.smoothed_aggregation_solver(
             sparse.bsr_matrix(without_fixed(matrix, fixed)),
             B=modes,
             # 0: all neighbours are strongly connected
@@ -212,12 +212,12 @@ def aggregated_prolongations(
             max_coarse=max_coarse,
             max_levels=10,  # pyamg's default
         )
-    found = [sparse.csr_array(level.P) for level in made.levels[:-1]]
+    prolongations = [sparse.csr_array(level.P) for level in multilevel.levels[:-1]]
     if dim == modes.shape[1] == 1:
         # coarse unknowns are values, for which a coarse obstacle makes sense: rows with sum 1
-        sizes = [np.where(level.B[:, 0] != 0.0, level.B[:, 0], 1.0) for level in made.levels]
-        found = [
+        sizes = [np.where(level.B[:, 0] != 0.0, level.B[:, 0], 1.0) for level in multilevel.levels]
+        prolongations = [
             sparse.csr_array(sparse.diags_array(1 / fine) @ P @ sparse.diags_array(coarse))
-            for fine, P, coarse in zip(sizes, found, sizes[1:], strict=False)
+            for fine, P, coarse in zip(sizes, prolongations, sizes[1:], strict=False)
         ]
-    return found[::-1]
+    return prolongations[::-1]

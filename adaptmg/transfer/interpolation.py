@@ -73,8 +73,8 @@ class Interpolation:
         _check_meshes(coarse, fine)
         if (rows := without_search(coarse, fine)) is not None:
             return rows
-        found = locate_nodes(coarse, fine)
-        return csr_from_weights(coarse.elements[found.element], found.weights, coarse.n_nodes)
+        location = locate_nodes(coarse, fine)
+        return csr_from_weights(coarse.elements[location.element], location.weights, coarse.n_nodes)
 
 
 class PointLocator(SimplexLocator):
