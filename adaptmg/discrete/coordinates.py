@@ -20,7 +20,8 @@ rows with sum 1), and
 
 where :math:`\Pi` drops what supports hold of slave nodes. The series ends, as no node follows
 itself: two powers where no slave node is a master node, one more for each body that is both (B.
-Wohlmuth, Acta Numerica 20, 2011, doi:10.1017/S0962492911000079, for the two-body case). With
+Wohlmuth, Acta Numerica 20, 2011, doi:10.1017/S0962492911000079, for the two-body case). On periodic
+sides a contact node takes over images that follow it, and :func:`_inverse` finds T. With
 :math:`\hat A = T^T A T,\ \hat b = T^T b` the contact conditions are on the slave nodes alone, and
 :math:`\hat A w - \hat b = T^T (A u - b)` is there the contact force on the slave; the master
 carries :math:`-W^T` of it, so that the forces balance."""
@@ -32,6 +33,7 @@ from typing import cast
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.block_rows import BlockRows
@@ -66,11 +68,16 @@ class Coupling:
         free = sparse.diags_array((~self.fixed).astype(float), format="csr") - projections
         by_dof = sparse.csr_array(free @ sparse.kron(weights, sparse.eye_array(dim), format="csr"))
         by_dof.eliminate_zeros()
-        upward = sparse.csr_array(sparse.eye_array(n, format="csr") + _series(weights))
+        returning = _returning(weights)
+        returning_by_dof = None
+        if returning is not None:
+            by_component = sparse.kron(returning, sparse.eye_array(dim), format="csr")
+            returning_by_dof = sparse.csr_array(free @ by_component)
+        upward = sparse.csr_array(sparse.eye_array(n, format="csr") + _inverse(weights, returning))
         # the class is frozen: these follow from its fields, and are set once
         object.__setattr__(self, "upward", checks.narrowed(upward))
         object.__setattr__(self, "_by_dof", checks.narrowed(by_dof))
-        object.__setattr__(self, "_series", checks.narrowed(_series(by_dof)))
+        object.__setattr__(self, "_series", checks.narrowed(_inverse(by_dof, returning_by_dof)))
 
     @property
     def between_bodies(self) -> bool:
@@ -134,6 +141,42 @@ def relative_prolongation(
     result.eliminate_zeros()
     result.sort_indices()
     return checks.narrowed(result)
+
+
+def _returning(weights: sparse.csr_array) -> sparse.csr_array | None:
+    """Return R, the entries of W (n_nodes, n_nodes) by which nodes take over images, which follow them; None
+    if there are none."""
+    entries = sparse.coo_array(weights)
+    follows = np.diff(weights.indptr) > 0
+    returns = (entries.data < 0) & follows[entries.col]
+    if returns.any():  # where ties end at contact these nodes follow others
+        _, part = connected_components(weights, connection="strong")
+        returns &= part[entries.row] == part[entries.col]
+    if not returns.any():
+        return None
+    ends = entries.row[returns], entries.col[returns]
+    return sparse.csr_array((entries.data[returns], ends), shape=weights.shape)
+
+
+def _inverse(step: sparse.csr_array, returning: sparse.csr_array | None) -> sparse.csr_array:
+    r"""Return :math:`(I - S)^{-1} - I` for S = W or Pi W, where R, ``returning``, is the part of S that leads back to
+    the nodes where it begins. With :math:`F = (I - S + R)^{-1}`, Q = RF and D, the diagonal of Q,
+
+    .. math:: (I - S)^{-1} = F\,(I - Q)^{-1} = F\,\bigl(I - (I - D)^{-1}(Q - D)\bigr)^{-1} (I - D)^{-1},
+
+    and both inverses are series that end."""
+    if returning is None:
+        return _series(step)
+    identity = sparse.eye_array(step.shape[0], format="csr")
+    forward = identity + _series(sparse.csr_array(step - returning))
+    back = sparse.csr_array(returning @ forward)
+    own = back.diagonal()
+    scale = sparse.diags_array(1 / (1 - own), format="csr")
+    others = sparse.csr_array(scale @ (back - sparse.diags_array(own)))
+    others.eliminate_zeros()
+    result = sparse.csr_array(forward @ (identity + _series(others)) @ scale - identity)
+    result.eliminate_zeros()
+    return result
 
 
 def _series(step: sparse.csr_array) -> sparse.csr_array:

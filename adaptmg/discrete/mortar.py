@@ -125,6 +125,40 @@ def spread(
     return sparse.csr_array((values, (rows, columns)), shape=(n_nodes, n_nodes))
 
 
+def with_images(
+    interface: MortarInterface, images: np.ndarray, originals: np.ndarray
+) -> MortarInterface:
+    """Return an interface in which nodes j take over their ``images`` i (m,) on periodic sides: the
+    condition of j is the sum of its own and of w_i/w_j times that of each image, where w are the
+    weights. ``originals`` (n_nodes,) are the nodes that others are images of."""
+    is_image = np.isin(interface.nodes, images)
+    kept = ~is_image
+    nodes = interface.nodes[kept]
+    weights = interface.weights[kept]
+    image_nodes = interface.nodes[is_image]
+    rows = np.searchsorted(nodes, originals[image_nodes])
+    shares = interface.weights[is_image] / weights[rows]
+    image_rows = np.arange(len(image_nodes))
+    of_images = sparse.csr_array((shares, (rows, image_rows)), shape=(len(nodes), len(image_nodes)))
+    V = sparse.csr_array((shares, (rows, image_nodes)), shape=(len(nodes), len(originals)))
+
+    def summed(values: sparse.csr_array | None) -> sparse.csr_array:
+        return (
+            sparse.csr_array(V.shape)
+            if values is None
+            else sparse.csr_array(values[kept] + of_images @ values[is_image])
+        )
+
+    return MortarInterface(
+        nodes=nodes,
+        normals=interface.normals[kept],
+        weights=weights,
+        gaps=interface.gaps[kept] + of_images @ interface.gaps[is_image],
+        coupling=sparse.csr_array(summed(interface.coupling) - V),
+        taken_over=sparse.csr_array(summed(interface.taken_over) + V),
+    )
+
+
 def curved(
     mesh: MeshArrays, sides: tuple[Surface, Surface], exact: Sequence[Sequence[Revolved] | None]
 ) -> tuple[Surface, Surface]:

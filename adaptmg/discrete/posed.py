@@ -26,7 +26,8 @@ over the contact nodes j of the boundary,
 .. math:: u_{n,j} + \sum_i \frac{E_{ji} w_i}{w_j}\, u_i \cdot n_j \le g_j + \sum_i \frac{E_{ji} w_i}{w_j}\, g_i ,
 
 so that the multipliers add up to one and constant pressures are exact. The displacement :math:`u_i`
-enters as that of a master does.
+enters as that of a master does. The part of a node i that periodic sides tie goes to the contact node
+that it is an image of alone, with the condition and the normal of both.
 """
 
 from __future__ import annotations
@@ -45,7 +46,13 @@ from adaptmg.discrete.contact_nodes import ContactNodes, bounded, check_bounds
 from adaptmg.discrete.coordinates import held_slaves
 from adaptmg.discrete.elasticity import dofs_of, nodes_of_pieces
 from adaptmg.discrete.moduli import body_materials
-from adaptmg.discrete.mortar import MortarInterface, curved, pair_interface, spread
+from adaptmg.discrete.mortar import (
+    MortarInterface,
+    curved,
+    pair_interface,
+    spread,
+    with_images,
+)
 from adaptmg.discrete.obstacles import free_normals, in_front_of, with_motions
 from adaptmg.discrete.sides import with_sides, young_of
 from adaptmg.discrete.supports import Boundaries, held_components, supported_nodes
@@ -334,10 +341,48 @@ class Posed(Boundaries):
         )
 
     def _touching(self, k: int, excluded: np.ndarray) -> MortarInterface:
-        """Return the nodes of contact boundary k that carry its condition, without ``excluded`` slave nodes."""
+        """Return the nodes of contact boundary k that carry its condition, without ``excluded`` slave
+        nodes; they take over the conditions of their images on periodic sides."""
+        if self.originals is None:
+            return self._carrying(k, excluded, self.untied)
+        images = self._images(k, self.originals)
+        while True:
+            owner = self.untied.copy()
+            owner[images] = k
+            interface = self._carrying(k, excluded, owner)
+            carries = np.isin(self.originals[images], interface.nodes)
+            if carries.all():
+                return with_images(interface, images, self.originals)
+            # where a node carries no condition the neighbours of its images take over their parts
+            images = images[carries]
+
+    def _images(self, k: int, originals: np.ndarray) -> np.ndarray:
+        """Return the nodes (n,) tied by periodic sides that are images, by ``originals`` (n_nodes,), of nodes
+        which may carry the condition of contact boundary k; supports hold the same axes of both."""
+        ties = [
+            part.nodes
+            for tie, part in zip(self.problem.ties, self.ties, strict=True)
+            if isinstance(tie, Periodic)
+        ]
+        nodes = np.concatenate(ties)
+        original = originals[nodes]
+        on_surface = self.surfaces[self.problem.contact_boundaries[k]].nodes
+        inclined = self.inclined.nodes
+        return nodes[
+            (self.owner[nodes] == k)
+            & (self.untied[original] == k)
+            & np.isin(original, on_surface)
+            & (self.fixed[nodes] == self.fixed[original]).all(axis=1)
+            & ~np.isin(nodes, inclined)
+            & ~np.isin(original, inclined)
+        ]
+
+    def _carrying(self, k: int, excluded: np.ndarray, owner: np.ndarray) -> MortarInterface:
+        """Return the nodes of contact boundary k that carry its condition if their ``owner`` (n_nodes,) is
+        k, without ``excluded`` slave nodes."""
         contact = self.problem.contact[k]
         if not isinstance(contact, ContactPair):
-            return in_front_of(self, k, self.untied)
+            return in_front_of(self, k, owner)
         surface = self.surfaces[contact.slave]
         slave_nodes = surface.nodes
         free_directions = free_normals(self, k, self.outward[k])
@@ -345,7 +390,7 @@ class Posed(Boundaries):
         # along what supports hold the unknowns of slave nodes are not relative (Pi of
         # adaptmg.discrete.coordinates): a normal that they hold in part has no condition
         without_multiplier = slave_nodes[
-            held_in_part | (self.untied[slave_nodes] != k) | np.isin(slave_nodes, excluded)
+            held_in_part | (owner[slave_nodes] != k) | np.isin(slave_nodes, excluded)
         ]
         return pair_interface(self, contact, self.sides[k], without_multiplier)
 

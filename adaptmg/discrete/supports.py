@@ -28,6 +28,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.elasticity import dofs_of, nodal_matrix
+from adaptmg.discrete.periodic import originals
 from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
@@ -426,6 +427,11 @@ class Boundaries:
         )
 
     @cached_property
+    def originals(self) -> np.ndarray | None:
+        """Return the nodes (n_nodes,) of which others are images on periodic sides; None without any."""
+        return originals(self.problem, self.mesh, self.surfaces)
+
+    @cached_property
     def holds(self) -> Sequence[Held]:
         """Return the directions that supports hold, with nodes and values."""
         return held_by(self.mesh, self.problem.supports, self.surfaces)
@@ -466,7 +472,7 @@ class Boundaries:
     def averaged_normals(self, surface: Surface) -> np.ndarray:
         """Return the averaged normals (n_nodes, dim) of a surface, without components along what
         supports hold where these are small."""
-        normals = surface.node_normals
+        normals = surface.mean_normals(self.originals)
         nodes = surface.nodes
         inside = self.free_part(nodes, normals[nodes])
         lengths = np.linalg.norm(inside, axis=1)

@@ -21,6 +21,7 @@ from adaptmg import _checks as checks
 from adaptmg._text import warn_user
 from adaptmg.discrete.coordinates import Coupling, Unknowns
 from adaptmg.discrete.mortar import MortarInterface, pair_interface
+from adaptmg.discrete.periodic import partners
 from adaptmg.discrete.supports import Boundaries
 from adaptmg.mesh.arrays import Surface
 from adaptmg.problem.surfaces import ContactPair, Periodic, Tied
@@ -90,7 +91,7 @@ def tie_interfaces(boundaries: Boundaries) -> list[MortarInterface]:
         slave = boundaries.surfaces[tie.slave]
         master = boundaries.surfaces[tie.master]
         if isinstance(tie, Periodic):
-            parts.append(_periodic(tie, boundaries, slave.nodes, master.nodes, not_tied))
+            parts.append(_periodic(tie, boundaries, not_tied))
             not_tied[parts[-1].nodes] = True
             continue
         # a tie is coupled as a pair would be
@@ -116,47 +117,25 @@ def _warn_of_gaps(tie: Tied, slave: Surface, apart: float) -> None:
         )
 
 
-def _periodic(
-    tie: Periodic,
-    boundaries: Boundaries,
-    slave: np.ndarray,
-    master: np.ndarray,
-    not_tied: np.ndarray,
-) -> MortarInterface:
-    """Return the nodes of the ``slave`` side (n,) of a cell, each with its partner on the ``master`` side
-    (n,), without those of the mask ``not_tied`` (n_nodes,)."""
+def _periodic(tie: Periodic, boundaries: Boundaries, not_tied: np.ndarray) -> MortarInterface:
+    """Return the nodes of the slave side of a cell, each with its partner on the master side, without
+    those of the mask ``not_tied`` (n_nodes,)."""
     mesh = boundaries.mesh
     points = mesh.points
-    size = mesh.sides.max()
-    middle = [
-        0.5 * (points[side].max(axis=0) + points[side].min(axis=0)) for side in (slave, master)
-    ]
-    shift = middle[0] - middle[1]
-    from scipy.spatial import cKDTree  # a first solve without it starts sooner
-
-    # scipy-stubs: of several points
-    nearest = cKDTree(points[master]).query(points[slave] - shift)
-    distances, partner = cast("tuple[np.ndarray, np.ndarray]", nearest)
-    if len(slave) != len(master) or distances.max() > checks.SIX_DIGITS * size:
-        i = int(np.argmax(distances))
-        raise ValueError(
-            f"periodic sides {tie.master!r} and {tie.slave!r} do not match: {len(master)} and "
-            f"{len(slave)} nodes, and the partner of node {slave[i]} {tuple(points[slave[i]].tolist())} "
-            f"lies {distances[i]:.3g} m off. Take a structured mesh, or one with sides made alike"
-        )
+    slave, partner = partners(tie, mesh, boundaries.surfaces)
     held = boundaries.held_spans(slave)
     # what supports hold of a node without holding it of its partner
-    held_alone = np.abs(held - held @ boundaries.held_spans(master[partner])).max(axis=(1, 2))
+    held_alone = np.abs(held - held @ boundaries.held_spans(partner)).max(axis=(1, 2))
     if held_alone.max() > checks.SIX_DIGITS:
         i = int(np.argmax(held_alone))
         raise ValueError(
             f"a support holds node {slave[i]} {tuple(points[slave[i]].tolist())} of periodic side "
             f"{tie.slave!r}, and not its partner, which would move apart from it: hold the partner at "
-            f"{tuple(points[master[partner[i]]].tolist())}, which this node follows"
+            f"{tuple(points[partner[i]].tolist())}, which this node follows"
         )
     free = ~not_tied[slave]
     slave = slave[free]
-    partner = master[partner[free]]
+    partner = partner[free]
     rows = sparse.csr_array(
         (np.ones(len(slave)), partner, np.arange(len(slave) + 1)), shape=(len(slave), len(points))
     )

@@ -373,12 +373,21 @@ class Surface:
     def node_normals(self) -> np.ndarray:
         """Return the mean unit normals (n_nodes, dim), 0 at other nodes; ValueError where facets at
         a node cancel."""
+        return self.mean_normals()
+
+    def mean_normals(self, originals: np.ndarray | None = None) -> np.ndarray:
+        """Return :attr:`node_normals`; nodes with the same number in ``originals`` (n_nodes,) have one
+        normal, the mean over the facets of all of them."""
         total = np.zeros(self.points.shape)
         measure = np.zeros(len(self.points))
         nodes = self.nodes
         for k, corner in enumerate(self.facets.T):
-            np.add.at(total, corner, self.corner_vectors(k))
-            np.add.at(measure, corner, self.measures)
+            node = corner if originals is None else originals[corner]
+            np.add.at(total, node, self.corner_vectors(k))
+            np.add.at(measure, node, self.measures)
+        if originals is not None:
+            total[nodes] = total[originals[nodes]]
+            measure[nodes] = measure[originals[nodes]]
         lengths = np.linalg.norm(total[nodes], axis=1)
         if not (lengths > 1e-8 * measure[nodes]).all():
             i = nodes[int(np.argmin(lengths / measure[nodes]))]

@@ -500,8 +500,7 @@ class Periodic(_Sides, Acting):
     jump.
 
     Each node of a side must have a partner on the other one, the same distance away: structured
-    meshes have. Lay the cell so that contact does not cross its sides: pressures there are of first
-    order, up to 28 % too large with 16 edges a cell.
+    meshes have. Where a contact boundary crosses the sides, a node and its partner carry one condition.
 
     Parameters
     ----------

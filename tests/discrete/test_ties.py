@@ -349,6 +349,65 @@ def test_a_cell_does_not_depend_on_where_it_begins(shift):
     assert 2 * one.energy == pytest.approx(2 * SHEAR * one.resultant("right").force[1])
 
 
+@pytest.mark.parametrize("facing", ["obstacle", "mortar", "nodes"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_contact_does_not_depend_on_where_a_cell_begins(dim, facing):
+    """A wavy gap that is closed with friction: its crest inside the cell, at a side and at an edge."""
+    n = 8 if dim == 2 else 4
+    names = "xyz"[:dim]
+
+    def part(base):
+        if dim == 2:
+            return am.Rectangle(width=1, height=0.5, origin=(0, base))
+        return am.Box(width=1, depth=1, height=0.5, origin=(0, 0, base))
+
+    def pressed(crest):
+        def gap(points):
+            return 1e-3 * (1 - np.cos(2 * np.pi * (points[:, : dim - 1] - crest)).mean(axis=1)) / 2
+
+        motion = (2e-4, 1e-4, -6e-4)[3 - dim :]
+        clamped = dict.fromkeys(names, 0.0)
+        if facing == "obstacle":
+            moved = am.Moving(am.GapFunction(gap), displacement=tuple(-x for x in motion))
+            parts, contact = {"up": part(0)}, am.Contact("up.bottom", moved)
+            supports = [am.Support("up.top", **clamped)]
+        else:
+            parts = {"low": part(-0.5), "up": part(0)}
+            contact = am.ContactPair("up.bottom", "low.top", gap=gap, coupling=facing)
+            supports = [
+                am.Support("low.bottom", **clamped),
+                am.Support("up.top", **dict(zip(names, motion, strict=True))),
+            ]
+        sides = (("left", "right"), ("front", "back"))[: dim - 1]
+        problem = am.ContactProblem(
+            domain=am.Assembly(parts=parts),
+            material=(am.Solid if dim == 3 else am.PlaneStrain)(young=E, poisson=NU),
+            contact=contact,
+            law=am.Coulomb(0.2),
+            ties=[am.Periodic(f"{name}.{a}", f"{name}.{b}") for name in parts for a, b in sides],
+            supports=supports,
+        )
+        # with mortar functions a side needs no partners
+        divisions = {"low": n // 2 if facing == "mortar" else n, "up": n}
+        grids = am.Hierarchy.uniform(
+            problem, [{name: (divisions[name],) * (dim - 1) + (2,) for name in parts}]
+        )
+        return am.solve(grids, am.ActiveSet(rtol=1e-10))
+
+    inside = pressed(0.5)
+    assert 0 < inside.contact_area < 1
+    for crest in (0.0, np.array([0.0, 0.5])[: dim - 1]):
+        other = pressed(crest)
+        for name in ("energy", "max_pressure", "contact_area", "dissipation"):
+            assert getattr(other, name) == pytest.approx(getattr(inside, name), rel=1e-6, abs=1e-9)
+        for name in ("up.top", "contact"):
+            expected = inside.resultant(name).force
+            np.testing.assert_allclose(
+                other.resultant(name).force, expected, atol=1e-6 * np.abs(expected).max()
+            )
+        assert not other.certificate().contradictions(1e-8)
+
+
 test_refused = refused(
     (
         lambda: cell(2, ties=am.Periodic("left", "right", jump=(1, 2, 3))),
