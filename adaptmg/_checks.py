@@ -135,6 +135,7 @@ def flag(name: str, value: object) -> bool:
 def choice(name: str, value: _T, choices: Iterable[_T]) -> _T:
     """Return ``value`` if it is one of ``choices``."""
     choices = tuple(choices)
+    # of the same type: True is equal to 1
     if not any(type(value) is type(allowed) and value == allowed for allowed in choices):
         raise ValueError(
             f"{name} must be one of {', '.join(map(repr, choices))}, got {shown(value)}"

@@ -46,7 +46,7 @@ class _Threads:
         if self.pool is None:
             return [kernel(first, last, *arguments) for first, last in ranges]
         results: list = [None] * len(ranges)
-        numbers = iter(range(len(ranges)))
+        numbers = iter(range(len(ranges)))  # shared by the threads: each number goes to one of them
 
         def work() -> None:
             for k in numbers:
@@ -137,9 +137,9 @@ def scattering(
 ) -> list[list[tuple[int, int]]]:
     """Return ranges of rows in two colours; no two ranges of a colour write to the same column.
 
-    Row k writes to ``columns[starts[k] : starts[k + 1]]``; without ``starts`` all rows are equally
-    long. Return one range if the rows read few numbers (``size``), or if ranges that are not
-    neighbours share columns."""
+    Row k writes to ``columns[starts[k] : starts[k + 1]]``, with ``starts`` (n + 1,) of n rows; without
+    it to the row ``columns[k]`` of a table (n, length). Return one range if the rows read few numbers
+    (``size``), or if ranges that are not neighbours share columns."""
     offsets: np.ndarray = (
         np.arange(len(columns) + 1) * columns.shape[1] if starts is None else starts
     )

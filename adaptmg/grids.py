@@ -49,6 +49,7 @@ class Grids:
             if not fine.complete:
                 continue  # its prolongation is made of these levels when it is read
             shape = (fine.n_nodes, coarse.n_nodes)
+            # coarse spaces of dofs, not of nodes
             if not coarse.discretised and coarse.matrix.blocksize[0] == 1:
                 shape = (checks.shape_of(fine.matrix)[0], checks.shape_of(coarse.matrix)[0])
             prolongations = {"prolongation": fine.prolongation_or_none}

@@ -87,7 +87,7 @@ def two_block_patch(
         "sources": {"pressure": "uniform stress (patch test), exact on every mesh"},
     }
     parts = _sloping(dim, math.tan(turn), size) if slope else _flat(dim, size)
-    loads, supports = _held(dim, bool(slope), pressure, side_pressure)
+    loads, supports = _held(dim, sloping=bool(slope), pressure=pressure, side=side_pressure)
     material = (am.PlaneStrain if dim == 2 else am.Solid)(young=young, poisson=poisson)
     pair = ("upper.interface", "lower.interface") if slope else ("upper.bottom", "lower.top")
     return am.ContactProblem(
@@ -135,6 +135,7 @@ def _sloping(dim: int, tangent: float, size: float) -> dict[str, Domain]:
     """Return two bodies with an interface through (size / 2, 0). Their walls at x = 0 are held, except for
     the "shoulder" next to the interface: nodes of which a support holds a part of the normal, which
     slopes here, carry no condition of a pair."""
+    # at the walls the interface is at most .29 sizes from y = 0 (30 degrees), the shoulders end at .6
     left = -0.5 * tangent * size
     right = 0.5 * tangent * size
     lower = am.Polygon(

@@ -171,7 +171,7 @@ def _roof(slope: float, size: float, order: float | None, points: np.ndarray) ->
 def _square_torque(twist: float, scale: float) -> dict[str, object]:
     """Return the torque of a square bar, where it is known, over ``scale`` = k a^3 at the twist
     G theta a / k."""
-    n = np.arange(1, 40, 2)
+    n = np.arange(1, 40, 2)  # the next terms are below 1e-8
     largest = 2 * (1 - 8 / math.pi**2 * np.sum(1 / (n**2 * np.cosh(n * math.pi / 2))))
     if twist * largest <= 1:
         rest = 192 / math.pi**5 * np.sum(np.tanh(n * math.pi / 2) / n**5)

@@ -213,6 +213,7 @@ class TransitionField:
         positions = quadrature_points(mesh.points, mesh.elements, rule)
         exact = self.stress(positions.reshape(-1, 2)).reshape(*positions.shape[:2], 3)
         tensors = full_stress(mesh, self.material, result.displacement)
+        # xx, yy and xy of the tensors, the same at all points of an element
         difference = exact - tensors[:, None, (0, 1, 0), (0, 1, 1)]
         error, energy = (
             float(np.sum(mesh.volumes[:, None] * weights * self._density(stress)))

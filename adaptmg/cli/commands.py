@@ -82,7 +82,7 @@ def _parser(command: str) -> _Parser:
         run: Callable[[Namespace], int | None], purpose: str, example: str, *more: str
     ) -> Callable[..., object]:
         """Add a command, which ``run`` does, and return the function that adds its options."""
-        name = run.__name__[1:]
+        name = run.__name__[1:]  # without the underscore
         parser = commands.add_parser(
             name,
             help=purpose,

@@ -333,7 +333,8 @@ def _checked_gaps(
 
 
 def _check_room(gaps: np.ndarray, opposite: np.ndarray) -> None:
-    """Raise ValueError unless each node has an obstacle, and room between two."""
+    """Raise ValueError unless each node has an obstacle, and room between two: ``gaps`` and ``opposite``
+    (n,) are those along the normal and against it, m, infinite where there is none."""
     # -g' < g, and one of the two finite; the negation catches NaN
     bad = ~(gaps + opposite > 0) | np.isinf(np.minimum(gaps, opposite))
     if bad.any():

@@ -473,11 +473,11 @@ def _sort_by_nodes(start, nodes, begin, patches):
 
 @kernel
 def _find_neighbours(first, last, start, patches, begin, nodes, counts):
-    """Return the columns of rows of the pattern, ascending: nodes that share a patch, each node with
-    itself. Node i has the patches ``patches[start[i]:start[i + 1]]``, patch e the nodes
-    ``nodes[begin[e]:begin[e + 1]]``. The number of columns of row i goes to ``counts[i + 1]``. Found once, in an array
-    that is too long: 10.4 ms for 263k nodes, 4.5 for 36k in 3D, counted before they are found 13.3
-    and 7.1."""
+    """Return the columns of the rows ``first``, ..., ``last`` - 1 of the pattern, ascending in each
+    row: nodes that share a patch, each node with itself. Node i has the patches
+    ``patches[start[i]:start[i + 1]]``, patch e the nodes ``nodes[begin[e]:begin[e + 1]]``. The number
+    of columns of row i goes to ``counts[i + 1]``. Found once, in an array that is too long: 10.4 ms for
+    263k nodes, 4.5 for 36k in 3D, counted before they are found 13.3 and 7.1."""
     # unsigned: numba tests signed indices for negative ones, which takes half of the time
     row_that_met = np.empty(len(start) - 1, dtype=np.int32)
     for v in range(len(row_that_met)):  # np.full compiles for .1 s
@@ -510,8 +510,9 @@ def _find_neighbours(first, last, start, patches, begin, nodes, counts):
 
 @kernel
 def _shape_gradients(first, last, zero, points, elements, slopes, measures):
-    """Write the gradients of the shape functions of elements, and their volumes. Returns a bad one,
-    or -1. ``zero``, here and below, is ZERO[dim]."""
+    """Write the gradients of the shape functions of elements into ``slopes`` (n_elements, dim + 1,
+    dim), and their volumes into ``measures`` (n_elements,). Returns the first element whose volume is
+    not positive, or -1. ``zero``, here and below, is ZERO[dim]."""
     dim = len(zero)
     edges = np.empty((len(zero), len(zero)))
     normals = np.empty((len(zero), len(zero)))
@@ -646,13 +647,14 @@ def _add_patches(
     indices,
     data,
 ):
-    """Write the upper half of rows: the block of nodes i and j is the sum of V B_p' C B_q over the patches
-    in which i is a corner p and j a corner q. Node i is in ``patches[start[i]:start[i + 1]]``, patch e has
-    ``nodes[begin[e]:begin[e + 1]]`` and the tensor ``table[rows[e]]``, whose ``lame_constants[rows[e]]`` are
-    NaN where all its entries count; ``slopes``, ``hoops``, ``spread`` and ``measures`` are those of
-    :class:`Patches`. ``slot`` has the places of the blocks of row i by the nodes j. Without a ``table``
-    (None) all tensors are isotropic, and the kernel compiles in 2.3 s in place of 3.8: numba leaves out the
-    branches for others."""
+    """Write the upper half of the rows ``first``, ..., ``last`` - 1 of the matrix with the pattern
+    ``indptr``, ``indices`` and the blocks ``data``: the block of nodes i and j is the sum of V B_p' C
+    B_q over the patches in which i is a corner p and j a corner q. Node i is in
+    ``patches[start[i]:start[i + 1]]``, patch e has ``nodes[begin[e]:begin[e + 1]]`` and the tensor
+    ``table[rows[e]]``, whose ``lame_constants[rows[e]]`` are NaN where all its entries count;
+    ``slopes``, ``hoops``, ``spread`` and ``measures`` are those of :class:`Patches`. ``slot`` has the
+    places of the blocks of row i by the nodes j. Without a ``table`` (None) all tensors are isotropic,
+    and the kernel compiles in 2.3 s in place of 3.8: numba leaves out the branches for others."""
     one = np.uint64(1)
     if table is not None:
         stress = np.empty((2 * len(zero), len(zero)))
@@ -694,7 +696,9 @@ def _add_patches(
 
 @kernel
 def _mirror(first, last, zero, indptr, indices, data):
-    """Write the lower half of rows, diagonal blocks included: the transposes of the upper one.
+    """Write the lower half of the rows ``first``, ..., ``last`` - 1 of the matrix with the pattern
+    ``indptr``, ``indices`` and the blocks ``data``, diagonal blocks included: the transposes of the
+    upper half.
 
     Row i takes its block of column j < i from row j. ``next_block[j]`` is the first block of row j whose
     column is beyond all rows written so far: rows are written in ascending order, so that it is the
@@ -777,8 +781,8 @@ def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
 
 
 def rotations(points: np.ndarray, axes: np.ndarray) -> list[np.ndarray]:
-    """Return the small rotations (n, dim) of points about the origin, in 3D about each of three
-    axes (rows)."""
+    """Return the small rotations (n, dim) of points (n, dim) about the origin, in 3D about each of three
+    ``axes`` (rows); in 2D there is one, whatever ``axes`` (2, 2) are."""
     spins = [[[0.0, 1.0], [-1.0, 0.0]]] if len(axes) == 2 else np.cross(axes[:, None], np.eye(3))
     return [points @ np.array(spin) for spin in spins]
 

@@ -182,10 +182,11 @@ def isotropic(
 
 
 def _turned(material: Elastic, anisotropy: Anisotropy, points: np.ndarray) -> np.ndarray:
-    """Return tensors (1 or n, k, k) of an anisotropic material at points: T' C T of the module."""
+    """Return tensors (1 or n, k, k) of an anisotropic material at points (n, dim): T' C_0 T of the
+    module."""
     i, j = PAIRS.T
     k = 2 * material.dim
-    axes = anisotropy.rotations(points)
+    axes = anisotropy.rotations(points)  # (1 or n, 3, 3): R
     # row p of T gives the component PAIRS[p] of R e R', twice it where that is a shear
     turn = axes[:, i][:, :, i] * axes[:, j][:, :, j] + axes[:, i][:, :, j] * axes[:, j][:, :, i]
     turn[:, :3] *= 0.5

@@ -114,8 +114,8 @@ class MortarInterface:
 def spread(
     parts: Sequence[tuple[np.ndarray, sparse.csr_array | None]], n_nodes: int
 ) -> sparse.csr_array | None:
-    """Return the matrix (n_nodes, n_nodes) of rows (n, n_nodes) that belong to nodes (n,), None if
-    there are no rows."""
+    """Return the matrix (n_nodes, n_nodes) of ``parts``, each of which has nodes (n,) and their rows (n,
+    n_nodes), or None in place of rows; None if there are no rows."""
     present = [(nodes, rows) for nodes, rows in parts if rows is not None]
     if not present:
         return None
@@ -427,6 +427,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     taken_in_facets = shares * np.where(carries, 0.0, shape_integrals)[:, None, :]
     if taken_in_facets.any():
         D_taken = _assembled(taken_in_facets, surfaces.slave, surfaces.slave, n_nodes)
+    # nodes of which more than rounding is covered
     is_tested = checks.ROUNDING * surfaces.slave_side.lumped(surfaces.axisymmetric) < D
     nodes = np.flatnonzero(is_tested)
     if D_taken is not None and not np.any(carries, axis=1)[parts.slave].all():

@@ -306,13 +306,16 @@ def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.n
     edge = ends[:, 1] - ends[:, 0]
     turn = end_normals[:, 1] - end_normals[:, 0]
     from_node = ends[:, 0] - surfaces.points[node]
+    # q(s) = a s^2 + b s + c
     a = cross(edge, turn)
     b = cross(from_node, turn) + cross(edge, end_normals[:, 0])
     c = cross(from_node, end_normals[:, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
+        # where q falls 2 a s + b = -root; of the two forms of this s the one without cancellation
         root = np.sqrt(b * b - 4 * a * c)
         s = np.where(b <= 0, 2 * c / (root - b), -(b + root) / (2 * a))
     no_root = ~np.isfinite(s)
+    # by the sign of q in the middle
     s[no_root] = np.where((0.25 * a + 0.5 * b + c)[no_root] > 0, 1.0, 0.0)
     return s
 
@@ -347,7 +350,8 @@ _BESIDE = checks.ALIKE  # how far outside a master edge, as a fraction of it, a 
 @kernel
 def distance_along_normal(points, normals, a, b, y1, y2, s):
     """Return the distance from x(s) of slave edge (a, b) along the unit normal to master edge (y1,
-    y2), by the formulas of the module. Infinite if the ray misses the edge, the edge faces away, or
+    y2), all by their nodes, by the formulas of the module; ``points`` and ``normals`` (n_nodes, 2) are
+    those of :class:`Surfaces`. Infinite if the ray misses the edge, the edge faces away, or
     rays cross before they reach it."""
     edge_x = points[b, 0] - points[a, 0]
     edge_y = points[b, 1] - points[a, 1]
@@ -391,9 +395,10 @@ def nearest_pieces(
 ):
     """Cut each slave edge where a master edge begins or ends (``breaks``, ascending in each edge), and
     give each part the nearest master edge in front of it, at most ``backward`` behind and ``forward``
-    in front, m; return the number of parts, which are written to the three last arrays. The pairs
-    starts[e], ..., starts[e + 1] - 1 of slave edge e have the master edges ``facets``, opposite to s from
-    ``lows``, ascending, to ``highs``. ``active`` is overwritten: the pairs that reach the part."""
+    in front, m; return the number of parts, of which slave edge, master edge and ends in s are written
+    to the last three arguments. The pairs starts[e], ..., starts[e + 1] - 1 of slave edge e have the
+    master edges ``facets``, opposite to s from ``lows``, ascending, to ``highs``. ``active`` is
+    overwritten: the pairs that reach the part."""
     n_pieces = 0
     for e in range(len(slave)):
         a = slave[e, 0]
@@ -590,8 +595,9 @@ THIN = checks.ALIKE
 
 @kernel
 def common_moments(slave, masters, start, below, above, moments):
-    """Compute the moments of the visible common parts of slave facets and the master facets found
-    for them, by local corners. A part is dropped if its gap, at its centroid, is outside [-below,
+    """Write the moments of the visible common parts of slave facets and the master facets found for them
+    into ``moments`` (n, MOMENTS), from the local corners ``slave`` (n_slave, 3, 3) and ``masters`` (n, 3,
+    3). A part is dropped if its gap, at its centroid, is outside [-below,
     above]. Where parts overlap, the one with the gap of smaller magnitude, at the centroid of the
     overlap, hides the other. Slave facet s has the facets ``masters[start[s]:start[s + 1]]``."""
     most_masters = 1
@@ -673,7 +679,7 @@ def _write_box(polygon, size, box):
 
 @inner_kernel
 def _overlap(box, other, tolerance):
-    """Return whether two boxes overlap by more than a tolerance."""
+    """Return whether two boxes (4,) of :func:`_write_box` overlap by more than a tolerance."""
     return (
         other[0] < box[2] - tolerance
         and other[2] > box[0] + tolerance

@@ -433,8 +433,8 @@ class Posed(Boundaries):
         weights: np.ndarray,
         taken: sparse.csr_array | None,
     ) -> dict[str, np.ndarray]:
-        """Return the compliances (n,) of the surfaces at contact nodes, in metre/N^(1/m), and the
-        exponents m (n,).
+        """Return the compliances (n,) of the surfaces at contact ``nodes`` (n,), in metre/N^(1/m), and the
+        exponents m (n,); ``owner`` and ``weights`` (n,) are those of the rows of the nodes.
 
         A surface with the compliance c yields by d = c p^(1/m) under the pressure p = F/w, with the
         force F and the boundary measure w of a node: by c w^(-1/m) F^(1/m). The gap of a node j that

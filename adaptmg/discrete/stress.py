@@ -91,7 +91,8 @@ def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndar
 @kernel
 def _add_gradients(elements, slopes, u, gradients):
     """Add the gradients d u_i / d x_j = sum_k u_ki d phi_k / d x_j to ``gradients`` (n_elements, dim,
-    dim): for 34 000 triangles in a third of the time of products of columns in numpy."""
+    dim), with the displacement ``u`` (n_nodes, dim) and the gradients ``slopes`` (n_elements, dim + 1, dim)
+    of the shape functions: for 34 000 triangles in a third of the time of products of columns in numpy."""
     dim = u.shape[1]
     for e in range(len(elements)):
         for k in range(dim + 1):

@@ -305,6 +305,7 @@ class _Fields:
         # 1 up to half of the radius, then linear to 0
         q = np.clip(2 - 2 * np.abs(place) / radius, 0, 1)
         inside = np.flatnonzero(q[mesh.elements].any(axis=1))
+        # the gradient of q, in the axes of the tip, as that of a component of a displacement
         slopes = displacement_gradient(mesh, np.column_stack([q, q]))[inside, 0] @ tip.axes.T
         # the integrals over the elements where q does not vanish
         rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
@@ -315,7 +316,8 @@ class _Fields:
         weight_at_points = q[mesh.elements[inside]] @ rule.T
         loaded = np.flatnonzero((q > 0) & self.forces.any(axis=1))
         # int t q r^-1/2 dr along the face = int 2 t q ds with r = s^2, by Gauss points from s = 0 to R^1/2
-        # of the radius R. From (-1, 1) they scale by R^1/2 / 2, so that their weights take R^1/2
+        # of the radius R: many, as q has a kink at R / 2. From (-1, 1) they scale by R^1/2 / 2, so that
+        # their weights take R^1/2
         s, gauss_weights = np.polynomial.legendre.leggauss(40)
         s = 0.5 * (1 + s) * np.sqrt(radius)
         gauss_weights = gauss_weights * np.sqrt(radius)

@@ -184,6 +184,7 @@ def picture_of(figure: Figure | Picture, caption: str) -> Picture:
         kind = "png"
         data = small_png(figure, min(150.0, _ACROSS / across))
     plt.close(figure)
+    # CSS has 96 pixels an inch
     return Picture(
         f"data:image/{kind};base64,{base64.b64encode(data).decode()}", caption, round(96 * across)
     )
@@ -295,7 +296,7 @@ class Report:
         _text("title", title, empty=False)
         if table is not None and figure is not None:
             raise ValueError("card takes a table or a figure, not both: make two cards")
-        if table is None and not units is formats is None:
+        if table is None and (units is not None or formats is not None):
             raise ValueError("units and formats are those of a table, and the card has none")
         self._cards.append(
             {

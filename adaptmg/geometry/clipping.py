@@ -13,7 +13,8 @@ that with V the volume of a piece
 
 is exact. There are no topological cases, and a sliver only makes a piece of small volume.
 
-A polygon is an array (room, 2) of which the first n rows are its corners, counter-clockwise.
+A polygon is an array (room, 2) of which the first n rows are its corners, counter-clockwise; of a
+``window`` m are. Kernels take the ends a and b of a line as ``ax``, ``ay``, ``bx``, ``by``.
 Half-planes are taken off one by one (Sutherland and Hodgman 1974, doi:10.1145/360767.360802); the
 point where an edge crosses a line is computed only between corners strictly on different sides, so
 that coincident edges need no tolerance. Moments are area A, centroid c and covariance :math:`S =
@@ -37,8 +38,9 @@ SNAP = checks.ROUNDING
 
 @kernel
 def common_moments(mu, k, pieces, levels, moments):
-    """Compute the moments of the fine shape functions over the intersection of a fine and a coarse
-    element with k corners each; returns the fraction of the fine element that it is.
+    """Write the integrals of the products lambda_i lambda_j of fine shape functions over the intersection
+    of a fine and a coarse element with k corners each, divided by the measure of the fine one, into
+    ``moments`` (k, k); returns the fraction of the fine element that the intersection is.
 
     ``mu`` (k, k): coarse barycentric coordinates mu[v, m] of the fine corner v. ``pieces`` is a
     stack; a row holds the fraction of the fine element, then for each corner of the piece the k
@@ -91,9 +93,10 @@ def common_moments(mu, k, pieces, levels, moments):
 
 @kernel
 def _cut(pieces, at, moved, kept, m, k):
-    """Move a corner of a piece along the edge towards the corner ``kept`` to where mu_m = 0: to
+    """Move the corner ``moved`` of a piece along the edge towards the corner ``kept`` to where mu_m = 0: to
     (1 - t) kept + t moved with t = b / (b - a), of mu_m = a at ``moved`` and b at ``kept``. The
-    piece keeps the fraction t of its volume."""
+    piece, of k corners, keeps the fraction t of its volume; it is row ``at`` of ``pieces``, as
+    :func:`common_moments` has them."""
     kk = k * k
     first = 1 + moved * k
     second = 1 + kept * k
@@ -113,7 +116,8 @@ def _cut(pieces, at, moved, kept, m, k):
 @inner_kernel
 def _add_moments(pieces, at, k, moments):
     """Add the integrals of lambda_i lambda_j over a piece (module docstring; V is its fraction of the
-    fine element) to ``moments`` (k, k)."""
+    fine element) to ``moments`` (k, k); it is row ``at`` of ``pieces``, as :func:`common_moments` has
+    them."""
     scale = pieces[at, 0] / (k * (k + 1))
     for i in range(k):
         sum_i = 0.0

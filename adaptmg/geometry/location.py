@@ -3,8 +3,10 @@ it lies.
 
 The weights of :math:`x` in an element with corners :math:`x_0 \dots x_d` are
 :math:`\lambda_m = G_m\cdot(x - x_0)`, m = 1 .. d, and :math:`\lambda_0 = 1 - \sum_m \lambda_m`, where :math:`G_m` is
-the gradient of the shape function of corner m. ``maps`` holds :math:`x_0, G_1, \dots, G_d` of each
-element."""
+the gradient of the shape function of corner m. ``maps`` (n, dim + dim^2) holds :math:`x_0, G_1, \dots,
+G_d` of each element. In kernels (x, y, z) is a point (z = 0 in the plane), ``e`` the position of an
+element in the order of the tree, a row of ``maps``, and ``boxes`` are those of the tree, as
+:mod:`adaptmg.geometry.search` has them."""
 
 from __future__ import annotations
 
@@ -35,6 +37,8 @@ class SimplexLocator:
     def __init__(
         self, points: np.ndarray, elements: np.ndarray, chosen: np.ndarray | None = None
     ) -> None:
+        """Look for points among the ``elements`` (n_elements, dim + 1) between ``points`` (n_nodes,
+        dim), or only among those with the numbers ``chosen`` (n,)."""
         #: numbers in the mesh of the elements among which points are looked for: ``chosen``, or all
         self.chosen = (
             np.arange(len(elements), dtype=np.int32) if chosen is None else chosen.astype(np.int32)
@@ -106,6 +110,8 @@ def affine_maps(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
     origin = corners[0]
     # by component of all elements: .5 ms for 20 000 triangles, by numpy.cross 2.2
     edges = [[x - o for x, o in zip(corner, origin, strict=True)] for corner in corners[1:]]
+    # the gradient of shape function m times the determinant of the edges: it is normal to all edges
+    # but edge m
     if dim == 2:
         (a, b), (c, d) = edges
         normals = [[d, -c], [-b, a]]

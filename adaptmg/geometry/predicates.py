@@ -4,10 +4,11 @@ would decide.
 .. math:: \det(b - a, c - a), \qquad \det(b - d, c - d)\,(b - a)\cdot(c - a) - \det(b - a, c - a)\,(b - d)\cdot(c - d)
 
 The second is positive where d lies inside the circle through a, b, c (counter-clockwise).
-Floating-point values whose sign is beyond their error bound are returned. Others are computed again
-as sums of floating-point numbers that do not overlap, without any error (J. R. Shewchuk, 1997,
-doi:10.1007/PL00009321), which takes some hundred times as long. Products are split after Dekker: no
-fused operations are needed, none are made (kernels compile without fastmath)."""
+Floating-point values whose sign is beyond their error bound are returned. Others are computed again as
+sums of floating-point numbers that do not overlap, without any error (J. R. Shewchuk, 1997,
+doi:10.1007/PL00009321), which takes some hundred times as long. Arguments a, b, c, d are rows of
+``points`` (n, 2). Products are split after Dekker: no fused operations are needed, none are made
+(kernels compile without fastmath)."""
 
 from __future__ import annotations
 

@@ -46,7 +46,8 @@ _RULES = {
 
 
 def quadrature_rule(corners: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return a rule exact for polynomials up to a degree."""
+    """Return the barycentric points (n, corners) and the weights (n,) of a rule that is exact for
+    polynomials up to a degree."""
     return _RULES[corners, degree]
 
 
@@ -59,8 +60,9 @@ def quadrature_points(points: np.ndarray, cells: np.ndarray, rule: np.ndarray) -
 def integration(
     points: np.ndarray, cells: np.ndarray, measures: np.ndarray, axisymmetric: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return barycentric points, their positions in cells of these measures, and weights (n_cells,
-    n); in axisymmetry times 2 pi r."""
+    """Return the barycentric points (n, corners) of a rule, their positions (n_cells, n, dim) in ``cells``
+    (n_cells, corners) of these ``measures`` (n_cells,), and weights (n_cells, n), which sum to the
+    measures; in axisymmetry times 2 pi r."""
     rule, weights = quadrature_rule(
         cells.shape[1], AXISYMMETRIC_DEGREE if axisymmetric else PLAIN_DEGREE
     )
@@ -74,16 +76,19 @@ def simplex_rule(dim: int, n: int) -> tuple[np.ndarray, np.ndarray]:
     barycentric coordinates (n^dim, dim + 1) of its points, and their weights (n^dim,)."""
     from scipy.special import roots_jacobi  # a first solve without it starts sooner
 
-    shape = np.ones((1, 1))
+    coordinates = np.ones((1, 1))  # of the points on a simplex of the dimension ``level``
     weights = np.ones(1)
     for level in range(dim):
         # collapse the last coordinate: what is left of the simplex there has measure (1 - x)^level
         x, w = roots_jacobi(n, level, 0)
         x = (1 + x) / 2
         w = w / w.sum()
-        shape = np.concatenate(
-            [np.multiply.outer(1 - x, shape), np.multiply.outer(x, np.ones((len(shape), 1)))],
+        coordinates = np.concatenate(
+            [
+                np.multiply.outer(1 - x, coordinates),
+                np.multiply.outer(x, np.ones((len(coordinates), 1))),
+            ],
             axis=2,
         ).reshape(-1, level + 2)
         weights = np.multiply.outer(w, weights).ravel()
-    return shape, weights
+    return coordinates, weights

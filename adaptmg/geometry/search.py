@@ -9,8 +9,11 @@ and climb from the leaf where the last one ended. For Morton codes a coordinate 
 
 Closest points are found on segments, triangles (by their Voronoi regions: Ericson, Real-Time
 Collision Detection, 2005, section 5.1.5) and tetrahedra (the closest of the four faces: callers
-test for points inside before). Kernels read corners from ``points`` (n, 3) (2D is padded with z =
-0)."""
+test for points inside before).
+
+Kernels read corners from ``points`` (n, 3) (2D is padded with z = 0), whose rows ``simplices`` (n, k)
+has in the order of the curve; the position of a simplex is its row. ``boxes`` (2 n_leaves - 1, 2 dim)
+are those of the nodes of the tree, lower corner and upper corner, and ``stack`` (STACK,) is scratch."""
 
 from __future__ import annotations
 
@@ -81,8 +84,8 @@ def bounding_box(points, corners, box):
 
 @kernel
 def overlapping(boxes, box, points, simplices, stack, candidates):
-    """Write the positions of all simplices whose bounding box meets ``box``; returns their
-    number."""
+    """Write the positions of all simplices whose bounding box meets ``box`` (2 dim,) into
+    ``candidates``; returns their number."""
     n, k = simplices.shape
     dim = k - 1
     n_leaves = (len(boxes) + 1) // 2
@@ -109,7 +112,7 @@ def overlapping(boxes, box, points, simplices, stack, candidates):
 
 @inner_kernel
 def _simplex_meets(points, corners, box, dim):
-    """Return whether the bounding box of a simplex meets ``box``."""
+    """Return whether the bounding box of the simplex with these ``corners`` (k,) meets ``box`` (2 dim,)."""
     for c in range(dim):
         low = np.inf
         high = -np.inf
@@ -133,8 +136,9 @@ def _box_distance(boxes, node, x, dim):
 
 @kernel
 def _nearest(queries, points, simplices, boxes, dim, found, weights, distances):
-    """Find position and distance of the simplex nearest to each query (n, 3), and weights of the
-    closest point."""
+    """Write for each of ``queries`` (n, 3) the position of the nearest simplex into ``found`` (n,), the
+    weights of its corners in the closest point into ``weights`` (n, k), and the distance into
+    ``distances`` (n,)."""
     n, k = simplices.shape
     n_leaves = (len(boxes) + 1) // 2
     trial = np.empty(k)
@@ -207,9 +211,9 @@ def _simplex_meets_turned(points, corners, frame, origin, low, high):
 
 @kernel
 def meet_turned(frames, origins, low, high, boxes, points, simplices, start, fill, found):
-    """Find the simplices that meet turned boxes: extents ``low`` .. ``high`` (n, dim) along the
-    rows of ``frames``. Counts those of box s to ``start[s + 1]`` or, with ``fill``, writes their
-    positions from ``found[start[s]]`` on."""
+    """Find the simplices that meet turned boxes: extents ``low`` .. ``high`` (n, dim) from ``origins`` (n,
+    dim) along the rows of ``frames`` (n, dim, dim). Counts those of box s to ``start[s + 1]`` or, with
+    ``fill``, writes their positions from ``found[start[s]]`` on."""
     n_leaves = (len(boxes) + 1) // 2
     stack = np.empty(STACK, dtype=np.int64)
     for s in range(len(frames)):
@@ -242,6 +246,8 @@ class BoxTree:
     """Bounding boxes over simplices."""
 
     def __init__(self, points: np.ndarray, simplices: np.ndarray) -> None:
+        """Sort ``simplices`` (n, k) between ``points`` (n_nodes, dim) along a Morton curve, and build the
+        tree; ``order`` (n,) has the number of the simplex at each position along the curve."""
         n = len(simplices)
         self.dim = points.shape[1]
         self.order = morton_order(
@@ -339,9 +345,10 @@ def morton_order(points: np.ndarray) -> np.ndarray:
 
 @kernel
 def _add_codes(points, low, scale, spread, codes):
-    """Add the Morton codes of points (n, dim) to ``codes`` (n,): the interleaved bits of their distances
-    from ``low`` (dim,) times ``scale``. Meshing by a size field asks for those of 300 points a hundred
-    times a mesh, for which numpy takes five times as long."""
+    """Add the Morton codes of points (n, dim) to ``codes`` (n,): the interleaved bits of their
+    distances from ``low`` (dim,) times ``scale``, ``spread`` being that of _SPREAD. Meshing by a size
+    field asks for those of 300 points a hundred times a mesh, for which numpy takes five times as
+    long."""
     for i in range(len(points)):
         for c in range(len(low)):
             bits = np.uint64((points[i, c] - low[c]) * scale)

@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 # of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one
 # writes
 _LABELS = ("facet_labels", "element_body")
-# pictures: pixels of the longer side, elements beyond which only the boundary is drawn, the view
-# from above and right
+# pictures: pixels of the longer side and of the margin, elements beyond which only the boundary is
+# drawn, the view from above and right
 _SIZE = 480
+_MARGIN = 4
 _MANY = 20_000
 _VIEW = np.array([[0.87, -0.25], [-0.5, -0.43], [0.0, -0.87]])
 
@@ -194,8 +195,8 @@ class MeshArrays:
         # in the plane of the picture, whose second axis points down
         seen = self.points[edges] @ (np.diag([1.0, -1.0]) if self.dim == 2 else _VIEW)
         seen -= seen.min(axis=(0, 1))
-        at = seen * (_SIZE / (seen.max() or 1.0)) + 4
-        width, height = np.ceil(at.max(axis=(0, 1)) + 4).astype(int)
+        at = seen * (_SIZE / (seen.max() or 1.0)) + _MARGIN
+        width, height = np.ceil(at.max(axis=(0, 1)) + _MARGIN).astype(int)
         path = "".join(f"M{x:.1f} {y:.1f}L{u:.1f} {v:.1f}" for (x, y), (u, v) in at.tolist())
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}">'
@@ -389,6 +390,7 @@ class Surface:
             total[nodes] = total[originals[nodes]]
             measure[nodes] = measure[originals[nodes]]
         lengths = np.linalg.norm(total[nodes], axis=1)
+        # what is left of vectors that cancel is rounding
         if not (lengths > 1e-8 * measure[nodes]).all():
             i = nodes[int(np.argmin(lengths / measure[nodes]))]
             raise ValueError(

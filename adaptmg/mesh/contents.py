@@ -143,6 +143,7 @@ def _cut_into_simplices(
         if len(nodes) and dimension(kind) == dim:
             cells, owner, points = _block_simplices(kind, nodes, points, dim)
             parts.append((cells, np.full(len(cells), k), owner))
+            # how many simplices each cell is cut into
             counts.setdefault(kind, []).append(np.bincount(owner, minlength=len(nodes)))
     elements, block, row = map(np.concatenate, zip(*parts, strict=True))
     used = points[np.unique(elements)]
@@ -376,11 +377,13 @@ def _is_volume(
 
 
 def _between(contents: Contents) -> list[np.ndarray]:
-    """Return rows (n, 1 + k) of a middle node and the k corners that it lies between, for each k."""
+    """Return rows (n, 1 + k) of a middle node and the k corners that it lies between, for each k: 2 on
+    edges, 4 on quadrilaterals, ..."""
     rows: dict[int, list[np.ndarray]] = {}
     for kind, cells in contents.cells:
-        for k, ends in enumerate(middles(kind), cells.shape[1] - len(middles(kind))):
-            rows.setdefault(len(ends), []).append(cells[:, (k, *ends)])
+        # the middle nodes are the last columns of the cells
+        for column, ends in enumerate(middles(kind), cells.shape[1] - len(middles(kind))):
+            rows.setdefault(len(ends), []).append(cells[:, (column, *ends)])
     return [np.unique(np.concatenate(parts), axis=0) for parts in rows.values()]
 
 
@@ -393,9 +396,10 @@ def _completed(
     bodies: list[str],
     parts: np.ndarray | None = None,
 ) -> tuple[MeshArrays, np.ndarray]:
-    """Return the checked mesh, with the first of ``boundaries`` for facets that have no name, and the
-    midpoints (n, dim) of these. ``label`` (m,) is the name of each of ``facets`` (m, dim), ``parts``
-    (n_elements,) the body of each element, None for a single one."""
+    """Return the checked mesh of ``elements`` (n_elements, dim + 1) between ``points`` (n_nodes, dim),
+    m, with the first of ``boundaries`` for facets that have no name, and the midpoints (n, dim) of
+    these. ``label`` (m,) is the name of each of ``facets`` (m, dim), ``parts`` (n_elements,) the body
+    of each element, None for a single one."""
     table = facet_table(elements, len(points))
     rest = table.facets[(table.counts == 1) & ~np.isin(table.keys, facet_keys(facets, len(points)))]
     mesh = check_stranger(

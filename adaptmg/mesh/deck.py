@@ -197,7 +197,7 @@ class _Deck:
         return np.concatenate(self.sets[kind][name])
 
     def _nodes(self, block: _Block) -> None:
-        """Read the nodes of *NODE: the number and the coordinates of each."""
+        """Read the nodes of *NODE: the number and the coordinates of each, 0 where they are left out."""
         table = np.array(
             [([_number(word) for word in row[:4]] + [0.0] * 3)[:4] for row in block.rows()]
         ).reshape(-1, 4)
@@ -208,12 +208,12 @@ class _Deck:
 
     def _elements(self, block: _Block) -> None:
         """Read the elements of *ELEMENT: number and nodes of each, in one line or in several."""
-        kind = block.parameters.get("TYPE", "")
+        element_type = block.parameters.get("TYPE", "")
         name = block.parameters.get("ELSET", "")
         # of unknown types it is not known how many numbers an element has
-        width = 1 + KINDS[_kind(kind) or "vertex"][1]
+        width = 1 + KINDS[_kind(element_type) or "vertex"][1]
         rows = []
-        for line in block.data if _kind(kind) else ():
+        for line in block.data if _kind(element_type) else ():
             # a row that is too short goes on in the next line
             words = [int(word) for word in line.split(",") if word.strip()]
             if rows and len(rows[-1]) < width:
@@ -222,11 +222,11 @@ class _Deck:
                 rows.append(words)
         if rows and len(rows[-1]) < width:
             raise ValueError(
-                f"an element of type {kind} has a number and {width - 1} nodes, element {rows[-1][:1]} "
+                f"an element of type {element_type} has a number and {width - 1} nodes, element {rows[-1][:1]} "
                 f"has {len(rows[-1]) - 1}"
             )
         table = _counted(np.array([row[:width] for row in rows], dtype=np.int64).reshape(-1, width))
-        self.elements.append((kind, table[:, 0], table[:, 1:], name))
+        self.elements.append((element_type, table[:, 0], table[:, 1:], name))
         if name:
             self.sets["ELSET"].setdefault(name, []).append(table[:, 0])
 
@@ -323,7 +323,7 @@ class _Deck:
 
     def contents(self) -> Contents:
         """Return the elements that can be read, with all that sets and surfaces name of them."""
-        # a node that comes again is moved
+        # a node that comes again is moved: of the reversed numbers the first of each counts
         numbers, last = np.unique(np.concatenate(self.numbers)[::-1], return_index=True)
         points = np.concatenate(self.points)[::-1][last]
         # kind, numbers, and nodes as rows of the points, of the elements of each type
@@ -332,9 +332,9 @@ class _Deck:
             for name, elements, nodes, _ in self.elements
             if (kind := _kind(name))
         ]
-        types = {kind for kind, *_ in self.elements}
-        used = sorted(kind for kind in types if _kind(kind) is not None)
-        left = sorted(kind or "without a type" for kind in types if _kind(kind) is None)
+        types = {name for name, *_ in self.elements}
+        used = sorted(name for name in types if _kind(name) is not None)
+        left = sorted(name or "without a type" for name in types if _kind(name) is None)
         notes = [f"elements of the types {', '.join(used)}", *self.notes]
         if left:
             notes.append(f"left out: elements of the types {', '.join(left)}")

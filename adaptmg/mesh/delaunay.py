@@ -9,7 +9,8 @@ is given in both directions: triangles on its two sides are no neighbours.
 Triangles and their neighbours are a closed table from the first to the last step, and no step turns
 a triangle over. In kernels triangle e has the corners ``elements[e]``, counter-clockwise, which are rows
 of ``points``, and beyond the side opposite corner k the neighbour ``across[e, k]``, -1 where there is
-none; the edges of the boundary from node a lead to ``heads[start[a]:start[a + 1]]``."""
+none; the edges of the boundary from node a lead to ``heads[start[a]:start[a + 1]]``, and
+``triangle_of[a]`` is a triangle of node a."""
 
 from __future__ import annotations
 
@@ -30,9 +31,9 @@ class Untriangulated(ValueError):
 
 
 def of_boundary(places: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the triangles (m, 3) inside a boundary of directed edges (n, 2) between places, their
-    neighbours (m, 3), and a mask (n,) of the edges that they have; if one is missing, all triangles,
-    which are not yet cut off at the boundary."""
+    """Return the triangles (m, 3) inside a boundary of directed ``edges`` (n_edges, 2) between ``places``
+    (n, 2), their neighbours (m, 3), and a mask (n_edges,) of the edges that they have; if one is
+    missing, all triangles, which are not yet cut off at the boundary."""
     # two triangles of a square far around the domain; its corners are the last four nodes
     n = len(places)
     low = places.min(axis=0)
@@ -43,6 +44,7 @@ def of_boundary(places: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.n
     elements = np.empty((2 * n + 2, 3), dtype=np.int32)
     across = np.full((2 * n + 2, 3), -1, dtype=np.int32)
     elements[:2] = [[n, n + 1, n + 2], [n, n + 2, n + 3]]
+    # the diagonal from n to n + 2 lies opposite corner 1 of the first, corner 2 of the second
     across[0, 1] = 1
     across[1, 2] = 0
     present = np.zeros(len(edges), dtype=bool)
@@ -62,7 +64,8 @@ def of_boundary(places: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.n
         batch = order[begin : begin + BATCH]
         count, e = _put(points, elements, across, batch, count, e, settled)
         if e < 0:
-            raise Untriangulated(f"nodes at {places[begin : begin + 1]}")
+            # each node that was put in has added two triangles to the first two
+            raise Untriangulated(f"node at {places[order[count // 2 - 1]]} lies on another")
     # swap until every edge of the boundary is there
     rows = np.argsort(edges[:, 0], kind="stable")
     tails, heads = np.ascontiguousarray(edges[rows].T)
@@ -124,6 +127,7 @@ def _inside(
     n_parts, part = connected_components(graph, directed=False)
     part_is_inside = mask_of(part[along.any(axis=1)], n_parts)
     inside = part_is_inside[part]
+    # the new numbers of triangles; the last entry is that of the neighbour -1, none
     number = np.append(np.cumsum(inside) - 1, -1).astype(np.int32)
     return elements[inside], number[across[inside]], present
 
@@ -331,7 +335,8 @@ def _put(points, elements, across, nodes, count, e, settled):
 
 @inner_kernel
 def _edge(start, heads, a, b):
-    """Return the number of the edge of the boundary from node a to node b, -1 if there is none."""
+    """Return the number of the edge of the boundary from node a to node b, -1 if there is none, as at the
+    last four nodes, the corners of the box, for which ``start`` has no entries."""
     if a < len(start) - 1:
         for i in range(start[a], start[a + 1]):
             if heads[i] == b:

@@ -146,8 +146,10 @@ def graded(
         meshes = {}
         for body, part in shape.parts.items():
             near = boundaries_of(body, names)
-            fine = near or not names or isinstance(contact_ratio, Mapping)
-            ratio = ratios[body] if fine else 1.0
+            # a single ratio does not concern bodies without contact boundaries; if no body has any, the
+            # first one refuses it
+            is_concerned = near or not names or isinstance(contact_ratio, Mapping)
+            ratio = ratios[body] if is_concerned else 1.0
             meshes[body] = graded(
                 part,
                 sizes[body],
@@ -364,6 +366,8 @@ def sized_by(
             return mesh
     if isinstance(shape, Box):
         return solid_mesh(shape, solid, "netgen")
+    # two meshes of Netgen before the last one, as of solids: one where sizes vary, one more for a
+    # function
     return plane_mesh(shape, limited, largest, near=None, names=(), grading=grading, rounds=2)
 
 

@@ -43,6 +43,7 @@ from adaptmg.mesh.arrays import (
     by_first_occurrence,
     edge_lengths,
     facet_keys,
+    mask_of,
     occurrences,
     trusted,
 )
@@ -173,9 +174,8 @@ def mean_ratios(mesh: MeshArrays) -> np.ndarray:
 
 def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
     """Return the mesh of tetrahedra with its inner nodes moved."""
-    held = np.zeros(mesh.n_nodes, dtype=bool)
+    held = mask_of(mesh.facets, mesh.n_nodes)
     points = np.array(mesh.points)
-    held[mesh.facets] = True
     around = occurrences(mesh.elements, mesh.n_nodes)
     for _ in range(rounds):
         _move(points, mesh.elements, around, held)
@@ -223,7 +223,7 @@ def _move(
 def _spokes(zero, points, cells, item, x, spokes):
     """Write the edges from x to the other corners of an element into ``spokes`` (dim, dim), as if
     x stood in place of its corner ``item`` (a place in ``cells``); returns their determinant: dim!
-    times the measure. ``zero`` is ZERO[dim]."""
+    times the measure. ``zero``, here and below, is ZERO[dim]."""
     k = len(zero) + 1
     e = item // k
     corner = item % k
@@ -344,7 +344,8 @@ def _move_nodes(zero, points, cells, start, items, held, begin, end, measures):
             _add_derivatives(zero, spokes, measure, shape, total, normal, step, hessian)
         if not _solve(zero, hessian, step):
             continue
-        # a Newton step x - H^-1 g, halved until the sum falls and every element keeps enough of its measure
+        # a Newton step x - H^-1 g, halved until the sum falls and every element keeps enough of its measure;
+        # a node for which this takes more than four halvings stays
         share = -1.0
         for _ in range(5):
             after = 0.0

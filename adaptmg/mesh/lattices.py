@@ -111,6 +111,7 @@ def warn_of_stretched(domain: Domain, divisions: Divisions | Mapping[str, Divisi
         cells = sides / counts
         ratio = cells.max() / cells.min()
         if ratio > _STRETCHED * (1 + 1e-9):
+            # square cells of the same measure, but at least one across the shortest side
             size = min(float(np.prod(cells)) ** (1 / len(cells)), sides.min())
             square = tuple(int(n) for n in np.maximum(np.rint(sides / size), 1))
             warn_user(
@@ -128,6 +129,7 @@ def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
     coordinates = points.reshape(*shape, dim)
     for k, (lower, upper, n) in enumerate(zip(domain.lower, domain.upper, counts, strict=True)):
         places = lower + np.arange(n + 1) / n * (upper - lower)
+        # along axis dim - 1 - k of the lattice, the same along the others
         coordinates[..., k] = places.reshape(-1, *[1] * k)
     nodes = np.arange(len(points), dtype=np.int32).reshape(shape)
     cells = nodes[np.s_[:-1, :-1, :-1][:dim]]  # the lowest node of each
@@ -215,6 +217,7 @@ def strides_of(counts: Sequence[int]) -> np.ndarray:
 
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
     """Return the number of cells along each axis."""
+    # an array of shape () is one number
     several = not isinstance(divisions, str) and getattr(divisions, "shape", None) != ()
     numbers = (
         tuple(divisions) if several and isinstance(divisions, Iterable) else (divisions,) * dim

@@ -73,6 +73,7 @@ class Netgen:
 
     def __init__(self) -> None:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        # -P: the folder of the script, adaptmg/mesh, is not searched for modules
         self.process = subprocess.Popen(
             [sys.executable, "-P", str(_WORKER)],
             stdin=subprocess.PIPE,
@@ -161,6 +162,7 @@ def netgen() -> Iterator[Netgen]:
     try:
         yield worker
     finally:
+        # one process is kept for the next call
         if worker.alive and not idle:
             idle.append(worker)
         else:

@@ -274,6 +274,7 @@ def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     mesh = sound_by_construction(
         replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names)
     )
+    # area over the square of the longest edge l: the height over 2 l
     if (flat := float((mesh.volumes / mesh.element_sizes**2).min())) < _FLAT:
         warnings.warn(
             f"triangles are up to {0.5 / flat:.0f} times as long as high: {domain!r} is thin or has a sharp "
@@ -724,6 +725,7 @@ def _in_metres(unit: MeshArrays, shape: Shape, turn: np.ndarray, offset: np.ndar
     for face in unit.boundaries:
         nodes = unit.boundary_nodes(face)
         for axis in np.flatnonzero(np.ptp(points[nodes], axis=0) < checks.ALIKE * reach):
+            # the median, rounded to _DIGITS digits of the largest coordinate
             points[nodes, axis] = (
                 round(float(np.median(points[nodes, axis])), _DIGITS - math.ceil(math.log10(reach)))
                 + 0.0  # no -0.0
@@ -744,6 +746,7 @@ def _in_metres(unit: MeshArrays, shape: Shape, turn: np.ndarray, offset: np.ndar
 
 def check_volume(mesh: MeshArrays, volume: float) -> None:
     """Raise NetgenFails unless the volume is right but for the chords of curved faces."""
+    # a mesh without chords differs by rounding, and by the 1e-7 of the extent to which OCC compares
     bound = _left_by_chords(mesh) + 1e-5 * volume
     meshed = float(mesh.volumes.sum())
     if not abs(meshed - volume) <= bound:

@@ -450,7 +450,8 @@ def face_sides() -> tuple[np.ndarray, np.ndarray]:
 
 
 def face_distances(path: str, number: int, face: int, points: np.ndarray) -> np.ndarray:
-    """Return the distances of points from a face of a solid of a STEP file."""
+    """Return the distances (n,) of points (n, 3) from the face with the number ``face`` of solid ``number``
+    of a STEP file, in the unit of the file."""
     shape = list(_step(path)[1][number].faces)[face]
     return np.array([occ.Vertex(Pnt(*point)).Distance(shape) for point in points.tolist()])
 
@@ -492,6 +493,7 @@ def _hold(solid: Solid) -> ShapeTables:
 def _samples(face: Face) -> np.ndarray:
     """Return points x, y, z and unit normals (2, n, 6) on two patches of n = 25 points of the surface
     of a face, one on either side of an apex."""
+    # D1: the point with the parameters u and v, and its derivatives by them
     found = np.array(
         [
             [[_place(x) for x in face.surf.D1(u, sign * v)] for u in _ACROSS for v in _ALONG]

@@ -236,6 +236,7 @@ def from_file(
             body=body,
         )
     except (ValueError, OverflowError) as error:
+        # meshio failed, or ended the process
         remedy = (
             f"; write it as MSH 2.2 (gmsh old{suffix} -save -format msh22 -o new.msh)"
             if isinstance(error, NetgenFails) and suffix not in (".vol", ".gz")

@@ -275,7 +275,7 @@ def simplices(
             turned = _turned_rings(part, start)
             cells += [turned[:, :3], turned[:, [0, 2, 3]]]
             owners += [np.arange(len(part))] * 2
-        elif len(local) <= 4:
+        elif len(local) <= 4:  # a simplex
             cells.append(part)
             owners.append(np.arange(len(part)))
         else:

@@ -51,7 +51,7 @@ def opened(
         raise ValueError("facets of a slit must lie between two elements")
 
     def corners(cell: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        # places in cells.ravel(): corner j of cell i is number k i + j
+        """Return where nodes (n,) stand in ``cells.ravel()`` as corners of the cells ``cell`` (n,)."""
         return k * cell + np.argmax(cells[cell] == nodes[:, None], axis=1)
 
     # graph of the corners: a and b are the same node, seen from both sides of a facet of no slit
@@ -67,9 +67,9 @@ def opened(
     node = cells.ravel()
     corner_set = np.where(at_slit[node], corner_set, cells.size)
     new, doubled_nodes = doubled(corner_set, node, n_nodes)
-    result = np.array(elements)
+    opened_elements = np.array(elements)
     sides = np.array(facets)
-    result[near] = new.reshape(cells.shape)
+    opened_elements[near] = new.reshape(cells.shape)
     # facets take the nodes of the element on their inner side
     touched = np.flatnonzero(at_slit[facets].any(axis=1))
     row = table.find(keys[touched])
@@ -82,7 +82,8 @@ def opened(
     origin = np.concatenate([np.arange(n_nodes), doubled_nodes])
     # a facet that still stands twice did not open
     closed, counts = np.unique(facet_keys(sides, len(origin)), return_counts=True)
-    return result, sides, ~np.isin(facet_keys(sides, len(origin)), closed[counts > 1]), origin
+    is_open = ~np.isin(facet_keys(sides, len(origin)), closed[counts > 1])
+    return opened_elements, sides, is_open, origin
 
 
 def opened_tables(

@@ -154,6 +154,7 @@ class Curved(Surface):
     @property
     def behind(self) -> np.ndarray:
         """Return the number (n,) of the curved surface behind each facet, -1 where there is none."""
+        # the last entry is that of the number -1
         plane = np.array([surface.plane for surface in self.exact] + [True])
         return np.where(plane[self.nearest], -1, self.nearest)
 
@@ -247,7 +248,7 @@ def _plane(_points: np.ndarray, normals: np.ndarray) -> Revolved:
 def _round(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the centre (3,) and the signed radius of the circle or sphere with these points and normals
     (n, 3): points = centre + radius * normals."""
-    # least squares for the radius, in which the centre does not matter
+    # least squares for the radius, in which the centre does not matter; where all normals are equal it is 0
     spread = normals - normals.mean(axis=0)
     radius = float(
         (spread * (points - points.mean(axis=0))).sum() / max(np.square(spread).sum(), 1e-300)
@@ -352,6 +353,7 @@ def settled(
         gaps = np.empty((len(rest), 2))
         gradients = np.empty((len(rest), 2, 3))
         for label in np.unique(labels[rest]):
+            # (n, 2): of which points this is the first surface, or the second
             at = labels[rest] == label
             gaps[at], gradients[at] = surfaces[label].gaps(places[rest[np.nonzero(at)[0]]])
         far = np.abs(gaps).max(axis=1) > near

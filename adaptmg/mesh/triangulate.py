@@ -366,9 +366,9 @@ def _filled(
                 most,
                 n_read,
                 settled,
-                settled[: len(settled) // 8 * 8].view(np.uint64),
+                settled[: len(settled) // 8 * 8].view(np.uint64),  # eights
                 dips,
-                np.empty(2),
+                np.empty(2),  # place
             )
             if n < most:
                 break
@@ -386,11 +386,14 @@ def _longer(table: np.ndarray, rows: int) -> np.ndarray:
 def _mesh(
     domain: Outline, points: np.ndarray, elements: np.ndarray, facets: np.ndarray, edge: np.ndarray
 ) -> MeshArrays:
-    """Return a mesh as arrays, with the boundary "i" of edge i (``edge`` (n_facets,) is that of each facet);
-    Untriangulated if a triangle is turned over, or their area is not that inside the boundary."""
+    """Return the mesh of the triangles ``elements`` (m, 3) between ``points`` (n, 2) with ``facets``
+    (n_facets, 2) as arrays, with the boundary "i" of edge i (``edge`` (n_facets,) is that of each
+    facet); Untriangulated if a triangle is turned over, or their area is not that inside the
+    boundary."""
     mesh = MeshArrays(
         points, elements, facets, edge, tuple(map(str, range(len(domain.boundaries))))
     )
+    # the area inside the boundary, of the facets from (x, y) to (u, v)
     (x, y), (u, v) = ((points[nodes] - points[0]).T for nodes in facets.T)
     area = 0.5 * float(np.sum(x * v - y * u))
     if not (mesh.volumes.min() > 0 and abs(mesh.volumes.sum() - area) <= 1e-9 * area):

@@ -104,6 +104,7 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
         figure = style.new_figure((3.1 * columns, 3.3 * -(-len(hierarchy) // columns)))
         axes = style.cells(figure, len(hierarchy), columns, dim=dim)
     axes = style.axes_of(axes, len(hierarchy))
+    # titles of one line fit above pictures that are more than 2.5 inches wide
     wide = style.figure_of(axes[0]).get_figwidth() > 2.5 * min(len(hierarchy), 4)
     between = " " if wide else "\n"
     for k, (level, ax) in enumerate(zip(levels, axes, strict=True)):
@@ -197,6 +198,7 @@ def deformation(
     if ax is None and result.dim == 2:
         extent = np.ptp(np.vstack([mesh.points, moved]), axis=0)
         width, height = extent / extent.max()
+        # inches: room for the bodies, and next to them for the colour bar, above and below for texts
         ax = style.canvas(None, (max(5.6 * width, 2.6) + 1.6, max(5.0 * height, 2.0) + 0.9))
     ax = style.canvas(ax, (6.8, 5.4), result.dim)
     present = draw_bodies(
@@ -228,7 +230,7 @@ def deformation(
             ax=ax,
             label=colors.label,
             shrink=1.0 if result.dim == 2 else 0.75,
-            pad=0.05 * result.dim - 0.06,
+            pad=0.04 if result.dim == 2 else 0.09,
             extend="max" if colors.clipped else "neither",
         )
         bar.outline.set_visible(False)
@@ -421,6 +423,7 @@ def draw_bodies(
             rgba = _rgba(colors, mesh, facets)
         else:
             rgba = np.repeat(_rgba(colors, mesh, element_of_facet)[:, None], 3, axis=1)
+        # of three corners with different states the middle one colours the facet
         rgba[marked] = inks[np.median(codes[marked], axis=1).astype(int)][:, None]
         edges = sharp_edges(mesh.points, facets)
         outlines = [Lines(points_now[edges], style.INK, 0.9)]
@@ -460,7 +463,8 @@ def _fill(
     """Fill the elements ``shown`` (numbers) of a plane mesh, and draw their edges if ``lines``."""
     valued = isinstance(colors, Coloring)
     elements = mesh.elements[shown]
-    # edges as wide as a pixel in the colour of their triangle close the seams between triangles
+    # lines are thinner the more elements there are; without lines edges as wide as a pixel in the
+    # colour of their triangle close the seams between triangles
     edge, width = (
         ("white" if valued else style.INK, float(np.clip(14 / np.sqrt(len(shown)), 0.1, 0.6)))
         if lines

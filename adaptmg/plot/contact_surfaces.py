@@ -96,6 +96,7 @@ def contact(
         panels = [style.axes_of(axes, 4 if solid else 3)]
     else:
         columns = 1 if solid else style.columns_of(len(names), 3, 6.2)
+        # inches: four maps in two columns, in narrow figures in one; three curves above each other
         maps = style.columns_of(4, 2, 4.5)
         width, height = (4.5 * maps, 7.0 if maps == 2 else 10.4) if solid else (6.2, 6.8)
         rows = -(-len(names) // columns)
@@ -512,7 +513,7 @@ def load_history(
     if not rows and not names:
         raise ValueError("nothing to draw: give quantities, or steps > 0")
     shown = _shown(results, factors, steps) if names else ()
-    # above rows of curves, below for each boundary rows of pictures of single steps
+    # above rows of curves, below for each boundary rows of pictures of single steps; sizes are in inches
     columns = style.columns_of(max(len(shown), 1), _COLUMNS, 2.4)
     curve_columns = style.columns_of(max(len(rows), 1), 3, 3.2)
     curve_rows = -(-len(rows) // curve_columns)
@@ -594,8 +595,8 @@ def _draw_curve(
     turns = np.flatnonzero(np.diff(np.sign(np.diff(factors))) != 0) + 1
     if len(turns):
         # up and down: an arrow in the middle of each branch
-        for a, b in zip(np.r_[0, turns], np.r_[turns, len(factors) - 1], strict=True):
-            k = (a + b) // 2
+        for first, last in zip(np.r_[0, turns], np.r_[turns, len(factors) - 1], strict=True):
+            k = (first + last) // 2
             ax.annotate(
                 "",
                 (0.5 * (factors[k] + factors[k + 1]), 0.5 * (values[k] + values[k + 1])),

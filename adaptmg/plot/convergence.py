@@ -152,6 +152,7 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
     if not entries:
         raise ValueError("this result has no cycles to draw (result.path is empty)")
     levels = max(len(result.levels), max(level for level, _, _ in entries[:steps]) + 1)
+    # inches: wider with the number of steps, higher with that of levels
     ax = style.canvas(
         ax, (min(11.0, 3.4 + 0.1 * len(entries[:steps])), 1.1 + 0.62 * max(levels, 2))
     )
@@ -201,6 +202,7 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
             ax.scatter(at, level, marker="s", s=80, color=style.GREEN, zorder=3, label="solve")
         height = reached
         before = action
+    # no number for levels that the result does not list
     nodes = [f"\n{int(level['nodes'])} nodes" for level in result.levels] + [""] * levels
     ax.set_yticks(range(levels), [f"level {k}{nodes[k]}" for k in range(levels)])
     ax.set(xlim=(-0.8, at + 0.8), ylim=(-0.6, levels - 0.45), xticks=[])
@@ -296,7 +298,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
             style.label_plainly(axis)
     left.set_ylabel("estimate / value of the goal [-]" if goal else r"estimate / $\|u_h\|_A$ [-]")
     if (relative > 0).all() and np.isfinite(relative[-1]) and nodes[-1] > nodes[0]:
-        # the error of a quantity falls as the square of that in the energy norm
+        # the error of a quantity falls as the square of that in the energy norm; drawn above the curve
         power = -2 / dim if goal else -1 / dim
         left.plot(
             nodes,

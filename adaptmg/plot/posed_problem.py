@@ -112,8 +112,8 @@ def _draw(posed: ContactProblem, mesh: MeshArrays, ax: Axes) -> None:
     """Draw a problem on a mesh, with arrows for loads and a legend."""
     extent = float(np.max(np.ptp(mesh.points, axis=0)))
     loadings = _surface_loadings(posed, mesh, extent)
-    arrows = _arrows([(at.points, at.normals, at.tractions) for at in loadings], extent / 6)
-    arrows += _arrows(_point_forces(posed, mesh), extent / 6)
+    arrows = _arrows([(at.points, at.normals, at.tractions) for at in loadings], reach=extent / 6)
+    arrows += _arrows(_point_forces(posed, mesh), reach=extent / 6)
     if posed.dim == 3:
         enlarged: dict[str, int] = {}
         _draw_solid(posed, mesh, ax, arrows, loadings)
@@ -139,6 +139,7 @@ def _surface_loadings(
     loadings = []
     for load in posed.loads:
         if isinstance(load, SurfaceLoad):
+            # 24 arrows on a face, 12 on an edge as long as the bodies, at least 3
             share = mesh.surface(load.boundary).measures.sum() / extent
             count = 24 if posed.dim == 3 else max(3, round(12 * share))
             x, normals = _spread(mesh, load.boundary, count)
@@ -258,6 +259,7 @@ def _name_edges(mesh: MeshArrays, ax: Axes) -> None:
     for boundary in mesh.boundaries:
         points, normals = _spread(mesh, boundary, 1)
         normal = normals[0]
+        # 9 points inside, aligned by components of the normal of -1, 0 or 1
         ax.annotate(
             style.plain(boundary),
             scale * points[0],
@@ -358,6 +360,7 @@ def _strokes(tails: np.ndarray, arrows: np.ndarray) -> list[np.ndarray]:
     size = np.linalg.norm(arrows, axis=1)[:, None]
     across = size * second / np.maximum(np.linalg.norm(second, axis=1)[:, None], 1e-300)
     other = np.cross(arrows, across) / np.maximum(size, 1e-300)
+    # heads are .3 of the arrow long, and .12 of it wide to each side
     return [
         np.stack([tails, tips], 1),
         *(

@@ -230,14 +230,13 @@ def legend_below(ax: Axes, handles: Sequence[Artist], **options: Any) -> None:
     lines = 3.8 if ax.name != "3d" else 0.8  # of text: the labels
     distance = -lines * matplotlib.rcParams["font.size"] / 72
     below = ScaledTranslation(0, distance, figure_of(ax).dpi_scale_trans)
-    columns = {"ncols": min(len(handles), 2 if narrow(ax) else 4)}
     legend = ax.legend(
         handles=handles,
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
         bbox_transform=ax.transAxes + below,
         borderaxespad=0.0,
-        **columns | options,
+        **{"ncols": min(len(handles), 2 if narrow(ax) else 4)} | options,
     )
     figure = figure_of(ax)
     if isinstance(figure, _Picture) and not figure.trimmed:

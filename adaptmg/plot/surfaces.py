@@ -99,6 +99,7 @@ class ShadedSurface(Artist):
         corners = self._project(self.corners)
         lines = [self._project(line.ends) for line in self.lines]
         seen = np.concatenate([part.reshape(-1, 3) for part in (corners, *lines)])
+        # with two pixels around what is drawn, for the width of lines
         frame = figure.bbox
         lower = np.floor(np.clip(seen[:, :2].min(axis=0) - 2, 0, (frame.width, frame.height)))
         upper = np.ceil(np.clip(seen[:, :2].max(axis=0) + 2, 0, (frame.width, frame.height)))
@@ -112,6 +113,7 @@ class ShadedSurface(Artist):
         raster_triangles(
             corners, self._shaded(), np.array(to_rgb(INK)), self.width * point * finer, image, depth
         )
+        # lines lie on the surface, which must not hide them
         bias = 0.01 * float(np.ptp(seen[:, 2]))
         for line, ends in zip(self.lines, lines, strict=True):
             # the whole line in the colour of its hidden parts, then its visible parts over it
@@ -146,6 +148,7 @@ class ShadedSurface(Artist):
         axes = solid_axes(self.axes)
         towards = viewer(axes.elev, axes.azim)
         up = viewer(axes.elev + 90.0, axes.azim)
+        # above the viewer, and to the left: the cross product points to the right
         light = towards + 0.7 * up - 0.5 * np.cross(up, towards)
         # a triangle seen from behind (the inside of an open surface) is lit like its front
         front = np.where(normals @ towards < 0, -1.0, 1.0)
@@ -205,8 +208,9 @@ def raster_triangles(corners, colors, ink, width, image, depth):
 
 @kernel
 def raster_segments(ends, ink, width, bias, image, depth):
-    """Draw the visible parts of segments (n, 2, 3) as discs of ``width`` pixels, two for each pixel
-    of length; what lies nearer by at most ``bias`` does not hide them."""
+    """Draw the visible parts of segments ``ends`` (n, 2, 3), in pixels and depth, as discs of ``width``
+    pixels in the colour ``ink`` (3,), two for each pixel of length; what lies nearer by at most ``bias``
+    does not hide them. ``image`` is changed, and ``depth`` read, as in :func:`raster_triangles`."""
     rows, columns = depth.shape
     reach = int(0.5 * width + 1.0)
     for s in range(len(ends)):

@@ -99,7 +99,7 @@ class Combination(SolidDomain):
             checks.choice("the keys of rename", old, dict.fromkeys(renamable))
             checks.boundary_name(f"rename[{old!r}]", new)
         if self.dim == 2:
-            _ = self.outline
+            _ = self.outline  # a check: it is refused unless it is one piece
 
     @property
     def dim(self) -> int:
@@ -220,7 +220,8 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
     # both bodies lie on the same side of it; for a Cut, if they lie on opposite sides.
     pieces = []
     for piece in of_a:
-        # the middles tell arcs from their chords, and from arcs to the other side
+        # the middles tell arcs from their chords, and from arcs to the other side; they add roundings to
+        # those of the ends
         twins = [
             other
             for other in of_b
@@ -257,6 +258,7 @@ def _pieces(
     def number(p: np.ndarray) -> int:
         """Return the number of a point, a new one if none in ``points`` is near."""
         for k, other in enumerate(points):
+            # a few roundings: both outlines compute their common points
             if np.abs(p - other).max() <= 4 * tol:
                 return k
         points.append(p)
@@ -368,6 +370,7 @@ class Cracked(SolidDomain):
         def __init__(self, domain: Domain, cracks: Mapping[str, ArrayLike]) -> None: ...
 
     def __post_init__(self) -> None:
+        """Store the paths of cracks as tuples of points, checked."""
         super().__post_init__()
         body = self.domain
         paths = {}
@@ -559,6 +562,7 @@ class Assembly(Domain):
     parts: Annotated[Mapping[str, Domain], partial(checks.mapping, words="body names to domains")]
 
     def __post_init__(self) -> None:
+        """Raise TypeError or ValueError unless each part is one body, all of the same dimension."""
         super().__post_init__()
         parts = self.parts
         if not parts:

@@ -204,7 +204,9 @@ class ContactProblem(checks.Checked):
     _repr_html_ = html_fields
 
     def __post_init__(self) -> None:
+        """Check the fields against each other, once each has been checked by its annotation."""
         super().__post_init__()
+        # no law is needed where each contact has its own
         if self.law is None and all(contact.law is not None for contact in self.contact):
             object.__setattr__(self, "law", Frictionless())
         law_of_position("law", self.law)

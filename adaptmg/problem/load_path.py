@@ -62,10 +62,11 @@ class LoadPath:
     __repr__ = brief
 
     def __post_init__(self) -> None:
+        """Check the factors, and spread single numbers over all steps."""
         factors = checks.mapping(
             "factors", self.factors, "names of boundaries or bodies to factors"
         )
-        values: dict[str | None, np.ndarray] = {}
+        values: dict[str | None, np.ndarray] = {}  # by name, those of ``default`` by None
         for name, value in factors.items():
             checks.boundary_name("the names in factors", name)
             values[name] = _factors(f"factors[{name!r}]", value)

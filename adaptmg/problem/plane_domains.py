@@ -207,6 +207,8 @@ class Outline(Domain):
     twins: ClassVar[Mapping[int, int]] = {}  # of cracks, see Slit
 
     def __post_init__(self) -> None:
+        """Raise ValueError unless names, arcs and holes fit the vertices, and the edges are simple
+        loops."""
         super().__post_init__()
         n = len(self.vertices)
         ends = self._loops()
@@ -366,7 +368,8 @@ class Outline(Domain):
     def _extremes(self) -> np.ndarray:
         points = [np.array(self.vertices)]
         for i in self.arcs:
-            # points of the arc farthest along the axes, at multiples of a quarter turn
+            # points of the arc farthest along the axes, at multiples of a quarter turn; the directions of
+            # an arc lie between -4 and 4 of these
             arc = self._arc(i)
             fractions = (0.5 * math.pi * np.arange(-6, 7) - arc.start) / arc.angle
             points.append(arc.at(fractions[(fractions > 0) & (fractions < 1)]))

@@ -88,6 +88,7 @@ class Arc:
     def along(self, point: np.ndarray) -> float:
         """Return the fraction of the angle at which a point of the arc lies."""
         x, y = point - np.array(self.center)
+        # from the middle of the arc, between -pi and pi, so that no end is a full turn off
         turn = math.atan2(y, x) - self.start - 0.5 * self.angle
         return 0.5 + ((turn + math.pi) % (2 * math.pi) - math.pi) / self.angle
 
@@ -134,7 +135,7 @@ def _line_and_circle(line: Segment, arc: Arc, tol: float) -> list[np.ndarray]:
 def on_both(
     e: Segment | Arc, f: Segment | Arc, points: list[np.ndarray], tol: float
 ) -> list[np.ndarray]:
-    """Return those points that lie on both edges."""
+    """Return those points that lie on both edges, up to twice the rounding ``tol`` of their places."""
     return [
         p for p in points if e.distance(p[None])[0] <= 2 * tol and f.distance(p[None])[0] <= 2 * tol
     ]
@@ -173,8 +174,9 @@ def check_simple(
     last: np.ndarray,
     what: str = "vertices",
 ) -> None:
-    """Raise ValueError if edges from vertices ``first`` to ``last``, by number, are too short, or
-    meet elsewhere."""
+    """Raise ValueError if ``edges`` (n) of the boundaries ``names`` are too short, or meet elsewhere
+    than at common vertices: ``first`` (n,) and ``last`` (n,) are the numbers of the vertices of each.
+    Messages begin with the argument ``what``."""
     a, b = np.array([edge.ends for edge in edges]).transpose(1, 0, 2)
     straight = np.array([isinstance(edge, Segment) for edge in edges])
     # an arc is shorter than a half circle: it lies in the box around its ends grown by their

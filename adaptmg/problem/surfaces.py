@@ -352,8 +352,9 @@ class Rigid(_MovingPart):
         ) -> None: ...
 
     def __post_init__(self) -> None:
+        """Store the moment as a tuple; ValueError unless a force, or a moment, presses the obstacle."""
         super().__post_init__()
-        turns = 2 * self.dim - 3
+        turns = 2 * self.dim - 3  # components of a rotation: 1 in the plane, 3 in space
         moment = self.moment if isinstance(self.moment, tuple | list) else (self.moment,) * turns
         object.__setattr__(self, "moment", _targets("moment", moment))
         if self.dim not in (2, 3) or len(self.moment) != turns:

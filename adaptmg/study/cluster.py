@@ -223,6 +223,7 @@ def dask_setup(nanny: Nanny) -> None:
         shutil.rmtree(os.environ[_FOLDER], ignore_errors=True)
         os._exit(1)
 
+    # once, though there are several nannies in this process
     if not any(thread.name == _FOLDER for thread in threading.enumerate()):
         threading.Thread(target=watch, name=_FOLDER, daemon=True).start()
 

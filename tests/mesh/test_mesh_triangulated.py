@@ -10,6 +10,7 @@ import pytest
 import adaptmg as am
 from adaptmg._numba import kernel
 from adaptmg.geometry import predicates
+from adaptmg.mesh.delaunay import Untriangulated, of_boundary
 from adaptmg.mesh.sizes import distance_to_boundaries, equilateral_sizes
 
 SQUARE = am.Rectangle(width=1, height=1)
@@ -148,6 +149,13 @@ def test_predicates_are_exact():
         ):
             places = points * 10.0 ** rng.integers(-8, 8)
             assert signs(places) == rational_signs(places)
+
+
+def test_a_node_that_lies_on_another_is_named():
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0.3, 0.4], [0, 1], [0.3, 0.4]])
+    edges = np.column_stack([range(6), [1, 2, 3, 4, 5, 0]])
+    with pytest.raises(Untriangulated, match=r"0\.3 0\.4"):
+        of_boundary(corners, edges)
 
 
 def test_triangles_at_short_edges_are_not_flat():
