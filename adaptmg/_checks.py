@@ -341,6 +341,7 @@ def array(
     ):
         _check_finite(name, value)
         return value
+    # numbers too large for the type become infinite, which the check below refuses
     with np.errstate(over="ignore"):
         result = np.array(entries, dtype=dtype, order="C")
     _check_finite(name, result)

@@ -265,8 +265,8 @@ class Hierarchy(Grids):
                 cast("ContactProblem", problem),
                 coarsest,
                 lambda field: mesh(0, field),
-                sizes[-1] / sizes[0],
-                grading,
+                share=sizes[-1] / sizes[0],
+                grading=grading,
             )
         meshes = [coarsest, *(mesh(level, finer) for level in range(1, len(sizes)))]
         return cls._build(problem, meshes, transfer, origin, begin, contact_rows)

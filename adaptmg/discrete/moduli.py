@@ -164,10 +164,10 @@ def isotropic(
     mesh: MeshArrays,
     most: float | np.ndarray = np.inf,
 ) -> Moduli:
-    """Return the tensors of isotropic bodies, of which some are ``thin`` (n_bodies,) sheets in
-    plane stress, from Lame's constants (n_bodies,), Pa. The first one is cut off at ``most`` shear
-    moduli: the rest acts on groups of nodes (:mod:`adaptmg.discrete.volumes`). That of sheets, which
-    is at most twice the shear modulus, is not cut off."""
+    """Return the tensors of isotropic bodies, of which some are ``thin`` (n_bodies,) sheets in plane
+    stress, from Lame's constants (n_bodies,), Pa. The first one is cut off at ``most`` shear moduli,
+    one number or (n_bodies,): the rest acts on groups of nodes (:mod:`adaptmg.discrete.volumes`). That
+    of sheets, which is at most twice the shear modulus, is not cut off."""
     lame = np.minimum(lame, most * shear)
     k = 2 * mesh.dim
     table = shear[:, None, None] * _SHEAR_PART[:k, :k]

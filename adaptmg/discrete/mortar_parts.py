@@ -286,8 +286,8 @@ def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.nda
     ``facet`` (n,) in front, at whatever distance."""
     start, end = surfaces.master[facet].T
     slave = surfaces.slave[edge]
-    # the surfaces run in opposite directions, so that the master's end comes first; a begin or end within
-    # rounding of an end of the slave edge is put there
+    # the surfaces run in opposite directions, so that the master's end comes first; a begin or end beyond
+    # an end of the slave edge, or within rounding of it, is put there
     parts = np.column_stack(
         [_projection(surfaces, slave, end), _projection(surfaces, slave, start)]
     )

@@ -349,8 +349,8 @@ def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined:
 
 def held_components(points: np.ndarray, holds: Sequence[Held]) -> tuple[np.ndarray, np.ndarray]:
     """Return the mask and the values (n_nodes, dim), m, zero where free, of the components that
-    supports hold; without those of nodes that they hold along other directions, see
-    :func:`inclined_supports`. ValueError for two values of one component."""
+    supports hold at points (n_nodes, dim); without those of nodes that they hold along other
+    directions, see :func:`inclined_supports`. ValueError for two values of one component."""
     fixed = np.zeros(points.shape, dtype=bool)
     values = np.zeros(points.shape)
     hold_of_component = np.zeros(points.shape, dtype=np.int64)  # of fixed ones

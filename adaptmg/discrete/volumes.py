@@ -128,7 +128,8 @@ class Volumes:
         return self.modulus * self.areas ** (1 - 1 / dim)
 
     def expanding(self, mesh: MeshArrays, strain: np.ndarray, axisymmetric: bool) -> Volumes:
-        """Return these groups with the expansion of initial strains (n_elements, 3) of elements."""
+        """Return these groups with the expansion of initial strains (n_elements, 3), xx, yy and zz, of
+        elements."""
         if not len(self):
             return self
         present = self.corners >= 0

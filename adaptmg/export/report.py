@@ -368,6 +368,7 @@ class Report:
         """
         parts = self._sections[-1].parts
         picture = picture_of(figure, caption)
+        # pictures one after the other are one part of the page: a list
         pictures = parts[-1][1] if parts else None
         if isinstance(pictures, list):
             pictures.append(picture)

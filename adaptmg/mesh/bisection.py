@@ -307,14 +307,15 @@ def _write_rows(mesh: MeshArrays, rows: np.ndarray) -> None:
 def _sides(mesh: MeshArrays) -> np.ndarray:
     """Return the number of the boundary facet opposite each corner of each element (n_elements, dim
     + 1), -1 where there is none."""
-    on = np.zeros(mesh.n_nodes, dtype=np.int8)
-    on[mesh.facets] = 1
+    on_boundary = np.zeros(mesh.n_nodes, dtype=np.int8)  # 1 where a node is on it
+    on_boundary[mesh.facets] = 1
     result = np.full(mesh.elements.shape, -1, dtype=np.int32)
     # only elements with as many boundary nodes as a facet has can have one
-    near = np.flatnonzero(sum(on[nodes] for nodes in mesh.elements.T) >= mesh.dim)
+    near = np.flatnonzero(sum(on_boundary[nodes] for nodes in mesh.elements.T) >= mesh.dim)
     keys = facet_keys(mesh.facets, mesh.n_nodes)
     order = np.argsort(keys)
     side_keys = facet_keys(element_facets(mesh.elements[near]).reshape(-1, mesh.dim), mesh.n_nodes)
+    # the facet with the same key, if there is one; keys above all come out as the last
     facet = order[np.minimum(np.searchsorted(keys[order], side_keys), len(keys) - 1)]
     result[near] = np.where(keys[facet] == side_keys, facet, -1).reshape(len(near), -1)
     return result

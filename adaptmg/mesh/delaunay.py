@@ -210,7 +210,8 @@ def _swap(elements, across, e, k):
 
 @kernel
 def swap_all(points, elements, across, suspect):
-    """Swap edges of ``suspect`` triangles until all are Delaunay; returns how many."""
+    """Swap edges of ``suspect`` triangles (m,), a mask that ends all False, until all are Delaunay;
+    returns how many."""
     swapped = 0
     before = -1
     while swapped > before:

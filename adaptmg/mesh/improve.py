@@ -79,7 +79,8 @@ def refined_draft(
     onto: Callable[[MeshArrays, int], MeshArrays] | None = None,
 ) -> MeshArrays:
     """Refine a sound draft until its elements have the sizes that ``field`` gives at the nodes of a
-    mesh. ``onto`` puts the nodes of a mesh from a number on onto the boundary of the domain."""
+    mesh. ``onto`` puts the nodes of a mesh from a number on onto the boundary of the domain; itself
+    ``domain`` is for messages only."""
     mesh = draft
     # three bisections halve the size of a tetrahedron
     for _ in range(3 * MAX_BISECTIONS):

@@ -414,7 +414,7 @@ def _draw_states(ax: Axes, flat: Flat, states: np.ndarray) -> None:
         zorder=2,
         edgecolors=style.INK,
         linewidths=0.2,
-        s=float(np.clip(4000 / len(states), 1.5, 40.0)),
+        s=float(np.clip(4000 / len(states), 1.5, 40.0)),  # smaller where there are many
     )
     counts = np.bincount(states.astype(int), minlength=3)
     ax.legend(
@@ -561,8 +561,8 @@ def _checked(results: Sequence[Result], factors: ArrayLike) -> tuple[list[Result
 
 
 def _shown(results: list[Result], factors: np.ndarray, steps: int) -> np.ndarray:
-    """Return the numbers of the steps to draw: evenly spread, but with those of the largest factor
-    and pressure."""
+    """Return the numbers of the ``steps`` results to draw: evenly spread, but with those of the
+    largest of the ``factors`` (n_results,) and the largest pressure."""
     shown = np.linspace(0, len(results) - 1, min(steps, len(results))).round().astype(int)
     for values in (factors, [result.contact.pressure.max(initial=0.0) for result in results]):
         if len(shown) > 2 and (peak := np.argmax(values)) not in shown:

@@ -233,7 +233,8 @@ def _draw_point_supports(posed: ContactProblem, mesh: MeshArrays, ax: Axes) -> N
 
 
 def _draw_arrows(ax: Axes, tails: np.ndarray, vectors: np.ndarray) -> None:
-    """Draw plane arrows, in the unit of the axes, and widen the limits of the axes to contain them."""
+    """Draw plane arrows from ``tails`` along ``vectors`` (both (n, 2)), in the unit of the axes, and
+    widen the limits of the axes to contain them."""
     ax.quiver(
         tails[:, 0],
         tails[:, 1],

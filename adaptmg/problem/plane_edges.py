@@ -194,6 +194,7 @@ def check_simple(
     high = np.maximum(a, b) + grown
     tiny = checks.ROUNDING * extent
     pairs = np.stack(np.triu_indices(len(a), 1), axis=1)
+    # the boxes of both edges overlap
     near = (low[pairs] <= high[pairs[:, ::-1]] + tiny).all(axis=(1, 2))
     close: list[list[int]] = pairs[near].tolist()
     for i, j in close:

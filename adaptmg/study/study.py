@@ -375,7 +375,7 @@ class Study:
     def _compute(
         self, runs: Done, code: Fingerprint, count: int, progress: Progress, throw: bool
     ) -> None:
-        """Store each run when it ends."""
+        """Store each of ``count`` runs when it ends. ``throw``: an exception in one goes on to the caller."""
         watch = Watch(self.name, len(self), len(self) - count)
         try:
             with _shown(watch, progress) as show:

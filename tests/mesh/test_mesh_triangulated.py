@@ -251,7 +251,7 @@ def test_too_many_nodes_are_refused_before_they_are_made():
 
 def test_a_fine_rim_does_not_ask_for_its_size_all_over():
     """55 000 nodes were refused as 7 million."""
-    corners = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
+    corners = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
     rim = am.Outline(
         vertices=corners, boundaries=("rim",) * 4, arcs=dict.fromkeys(range(4), (0, 0))
     )
