@@ -256,6 +256,7 @@ def hill_cylinder(
         "stress": stress,
         "sources": {"stress": "Hill, The Mathematical Theory of Plasticity, 5.2"},
     }
+    # the pressure goes elastically: after a higher one the bore yields again, in the other direction
     if pressure <= 2 * first:
         reference["residual_stress"] = partial(_residual_stress, stress, a, b, pressure)
     return am.ContactProblem(

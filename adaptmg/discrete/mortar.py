@@ -505,12 +505,8 @@ def _dual_functions(parts: CoveredParts) -> tuple[np.ndarray, np.ndarray, np.nda
     measure, centroid, from_centroid, covariance = parts.means()
     corners = np.swapaxes(parts.corners - centroid[:, None], 1, 2)
     n, k = corners.shape[::2]
-    # phi(c): sum phi_j = 1 and sum phi_j (x_j - c) = 0. As many right sides as matrices: numpy 1
-    # takes fewer for vectors
-    first_unit = np.broadcast_to(np.eye(k)[:, :1], (n, k, 1))
-    shape = np.linalg.solve(np.concatenate([np.ones((n, 1, k)), corners], axis=1), first_unit)[
-        ..., 0
-    ]
+    # phi(c): sum phi_j = 1 and sum phi_j (x_j - c) = 0
+    shape = np.linalg.solve(np.concatenate([np.ones((n, 1, k)), corners], axis=1), np.eye(k)[0])
     # psi_j = phi_j(c) (1 + (x - c) . S^-1 (x_j - c))
     weighted_corners = np.linalg.solve(covariance, corners)
     return (

@@ -434,7 +434,7 @@ def _force(points, elements, across, start, tails, heads, begin, end, triangle_o
     for edge in range(begin, end):
         a = tails[edge]
         b = heads[edge]
-        for _ in range(len(elements)):
+        for _ in range(len(elements)):  # an edge that takes more swaps counts as missing
             e, corner_or_node = _towards(points, elements, across, triangle_of[a], a, b)
             node = corner_or_node
             if e < 0:

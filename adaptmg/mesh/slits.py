@@ -68,22 +68,22 @@ def opened(
     corner_set = np.where(at_slit[node], corner_set, cells.size)
     new, doubled_nodes = doubled(corner_set, node, n_nodes)
     opened_elements = np.array(elements)
-    sides = np.array(facets)
+    opened_facets = np.array(facets)
     opened_elements[near] = new.reshape(cells.shape)
     # facets take the nodes of the element on their inner side
     touched = np.flatnonzero(at_slit[facets].any(axis=1))
     row = table.find(keys[touched])
-    sides_elements = np.where(
+    inner_elements = np.where(
         same_orientation(facets[touched], table.facets[row]), table.first[row], table.second[row]
     )
-    sides[touched] = np.stack(
-        [new[corners(sides_elements, nodes)] for nodes in facets[touched].T], axis=1
+    opened_facets[touched] = np.stack(
+        [new[corners(inner_elements, nodes)] for nodes in facets[touched].T], axis=1
     )
     origin = np.concatenate([np.arange(n_nodes), doubled_nodes])
     # a facet that still stands twice did not open
-    closed, counts = np.unique(facet_keys(sides, len(origin)), return_counts=True)
-    is_open = ~np.isin(facet_keys(sides, len(origin)), closed[counts > 1])
-    return opened_elements, sides, is_open, origin
+    closed, counts = np.unique(facet_keys(opened_facets, len(origin)), return_counts=True)
+    is_open = ~np.isin(facet_keys(opened_facets, len(origin)), closed[counts > 1])
+    return opened_elements, opened_facets, is_open, origin
 
 
 def opened_tables(

@@ -228,7 +228,7 @@ def _second_meeting(e: Segment | Arc, f: Segment | Arc, v: np.ndarray) -> list[n
     else:
         return []
     centre = np.array(arc.center)
-    # v mirrored at the line of both centres, or at the normal through the centre of the other line
+    # v mirrored at the line through both centres; where the other is a line, at its normal through the centre
     along = np.array(other.center) - centre if isinstance(other, Arc) else other.end - other.start
     if not np.linalg.norm(along) > 0:
         return []
