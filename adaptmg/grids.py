@@ -35,7 +35,7 @@ class Grids:
     # Any: a ScalarProblem; only those of a given matrix need the test for None
     problem: ContactProblem | Any = None
     origin: str = "levels"
-    timings: dict[str, float] = field(default_factory=dict, compare=False)
+    timings: dict[str, float] = field(default_factory=dict, compare=False)  # seconds by phase
     transfer: Transfer | None = None
     contact_rows: bool = True
 

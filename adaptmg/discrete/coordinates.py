@@ -250,6 +250,7 @@ class Unknowns:
     and back. A solution is one vector (n_unknowns,): the unknowns of the nodes, then the pressures
     of volumes, which are the same in every system."""
 
+    # these are of DiscreteProblem, which explains them
     rows: BlockRows
     load: np.ndarray
     contact: ContactNodes
@@ -257,7 +258,7 @@ class Unknowns:
     fixed: np.ndarray
     fixed_values: np.ndarray
     inclined: Inclined
-    ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...]  # see DiscreteProblem
+    ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...]
 
     @property
     def held(self) -> np.ndarray:

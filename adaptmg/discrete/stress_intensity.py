@@ -290,7 +290,7 @@ class _Fields:
     uneven: np.ndarray  # (n_elements, 2, 2): free strain beyond that at the tip
     forces: np.ndarray  # (n_nodes, 2): in the body
     fit: np.ndarray  # (3, 2): tractions on the left face by powers of r
-    lame: float
+    lame: float  # Lame's constants at the tip, Pa
     shear: float
 
     def factors(self, radius: float) -> list[float]:

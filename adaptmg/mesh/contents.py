@@ -40,7 +40,7 @@ class Contents:
     cells: list[tuple[str, np.ndarray]]  # kind and nodes (m, k) of blocks of any dimension
     #: sets of cells: blocks, and rows of them
     sets: dict[str, list[tuple[int, np.ndarray]]] = field(default_factory=dict)
-    node_sets: dict[str, np.ndarray] = field(default_factory=dict)
+    node_sets: dict[str, np.ndarray] = field(default_factory=dict)  # dict of str to nodes (n,)
     bodies: Sequence[str] | None = None  # the sets whose cells are different bodies; None: all sets
     #: those sets of nodes that come before the others
     surfaces: set[str] = field(default_factory=set)

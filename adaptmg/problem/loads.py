@@ -359,7 +359,9 @@ Load = Pressure | Traction | BodyForce | PointForce | InitialStrain | Preload
 class _Holds(Acting):
     """The base class of all supports."""
 
-    _stiffnesses: ClassVar[tuple[str, ...]] = ()
+    _stiffnesses: ClassVar[
+        tuple[str, ...]
+    ] = ()  # the fields of springs, which no factor multiplies
 
     def __post_init__(self) -> None:
         super().__post_init__()

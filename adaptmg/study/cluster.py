@@ -342,10 +342,10 @@ class _Run:
     """A run that is out."""
 
     point: Point
-    sent: float
+    sent: float  # when, by time.monotonic(), s
     future: Future
     worker: str = ""  # where it has begun, if there is a limit
-    began: float = math.inf
+    began: float = math.inf  # when, by the same clock; infinite before, and once stopped
 
     def failed(self, error: str, exception: BaseException | None = None) -> Finished:
         """Return the outcome of a run that gave none."""
