@@ -130,7 +130,7 @@ def with_images(
 ) -> MortarInterface:
     """Return an interface in which nodes j take over their ``images`` i (m,) on periodic sides: the
     condition of j is the sum of its own and of w_i/w_j times that of each image, where w are the
-    weights. ``originals`` (n_nodes,) are the nodes that others are images of."""
+    weights. ``originals`` (n_nodes,) are the nodes that others are images of; they keep their normals."""
     is_image = np.isin(interface.nodes, images)
     kept = ~is_image
     nodes = interface.nodes[kept]
@@ -143,6 +143,7 @@ def with_images(
     V = sparse.csr_array((shares, (rows, image_nodes)), shape=(len(nodes), len(originals)))
 
     def summed(values: sparse.csr_array | None) -> sparse.csr_array:
+        """Return the rows of the nodes that are kept, with those of their images added."""
         return (
             sparse.csr_array(V.shape)
             if values is None

@@ -25,10 +25,10 @@ def partners(
     points = mesh.points
     slave = surfaces[tie.slave].nodes
     master = surfaces[tie.master].nodes
-    middle = [
+    slave_middle, master_middle = (
         0.5 * (points[side].max(axis=0) + points[side].min(axis=0)) for side in (slave, master)
-    ]
-    shift = middle[0] - middle[1]
+    )
+    shift = slave_middle - master_middle
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     # scipy-stubs: of several points

@@ -346,7 +346,7 @@ class Posed(Boundaries):
         if self.originals is None:
             return self._carrying(k, excluded, self.untied)
         images = self._images(k, self.originals)
-        while True:
+        while True:  # with fewer images each time
             owner = self.untied.copy()
             owner[images] = k
             interface = self._carrying(k, excluded, owner)
