@@ -95,6 +95,7 @@ class GoalView:
         u = _halved(mesh, self.displacement, _mean)
         states = _halved(mesh, states, _looser)
         at = discrete.contact.nodes
+        # new contact nodes between nodes without a condition are open
         contact = linearised_contact(
             discrete, u, np.where(states[at] == _NONE, State.OPEN, states[at])
         )
@@ -227,7 +228,7 @@ class Displacement(checks.Checked):
             raise ValueError(
                 f"points must all have 2 or all 3 coordinates, got {checks.shown(self.points)}"
             ) from None
-        points = np.empty((0, 0))
+        points = np.empty((0, 0))  # stays where no points are given, and is refused below
         if 0 not in shape:
             rows = [self.points] if len(shape) == 1 else self.points
             points = checks.array("points", rows, (None, None))

@@ -563,9 +563,9 @@ class Guide:
 
     def better_values(self, values: np.ndarray, missed: np.ndarray) -> np.ndarray:
         """Return better values (n,) than those with which the finest level misses the forces by
-        ``missed`` (n,), both over their sizes: those of this guide on the finest level. Where it
-        was on this level already, or the factors of that take too much memory, a Newton step
-        corrects the values by what is missed."""
+        ``missed`` (n,), both over their sizes: those of this guide on the finest level, where it then
+        stays. Where it was on this level already, or the factors of that take too much memory, a Newton
+        step corrects the values by what is missed."""
         is_coarse = self.level_number < self.finest_number
         if is_coarse and factorisable(self.controls.level.discrete):
             self.level_number = self.finest_number

@@ -276,9 +276,10 @@ class March:
         materials = self.posed.materials
         self.stiffness = supported_stiffness(mesh, materials, problem.supports, problem.elements)
         self.stress_data = StressData.of(mesh, materials, problem.loads, problem.elements)
-        self.mass = lumped_mass(self.posed, dynamics)[:, None]
+        self.mass = lumped_mass(self.posed, dynamics)[:, None]  # (n_nodes, 1)
         #: Euclidean norm of what rounding of a unit displacement leaves in K u, N/m
         self.rounding = np.finfo(float).eps * euclidean_norm(self.stiffness.diagonal())
+        #: the loads f (n_nodes, dim), N
         self.forces = self.discrete.physical_forces(self.discrete.whole_load).reshape(-1, mesh.dim)
         self.free_pieces = self._free_pieces()
         #: the energy lost so far by cause, N m, and the lengths of the slips so far (n_contact,), m

@@ -71,7 +71,7 @@ class PlasticLoop(PathLoop):
     """The steps of a path of plastic bodies."""
 
     def __init__(self, grids: Grids, path: LoadPath, solver: Solver) -> None:
-        self.share = 1.0  # of the change of the factors in a step
+        self.share = 1.0  # of the change of the factors in a step; super() asks for factors
         super().__init__(grids, path, solver)
         if self.posed[-1] is None:
             raise ValueError(
@@ -272,6 +272,7 @@ class _Newton:
         solver = self.solver
         start = self.response.displacement
         unloaded = not start.any()
+        # a nested start begins at zero, on discretised levels
         if isinstance(solver, FullMultigrid) and not (unloaded and grids.discretised):
             solver = without_nested_start(solver)
         if is_dataclass(solver) and hasattr(solver, "rtol"):

@@ -201,7 +201,7 @@ def diagonal_square(first, last, zero, kinds, inverse, u):
         block, _ = table_row(kinds, i)
         for k in range(dim):
             pivot = inverse[dim * (dim * block + k) + k]
-            if pivot > 0.0:
+            if pivot > 0.0:  # 0: the dof has no stiffness
                 total += (u[dim * i + k] / pivot) ** 2
     return total
 

@@ -108,7 +108,8 @@ class RigidMotions:
     ) -> RigidMotions | None:
         """Return the free motions of a problem under a load (n_dofs,), N, None if it has none, is
         one-dimensional, or its near_nullspace is unknown."""
-        if problem.dim == 1:  # a constant, which truncation shifts
+        # the only motion is a constant: where it is free, the coarsest matrix is singular and shifted
+        if problem.dim == 1:
             return None
         _, at_contact = _free_combinations(problem)
         if not at_contact.shape[2]:

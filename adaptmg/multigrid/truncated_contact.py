@@ -377,6 +377,7 @@ class TruncatedContact:
         number of nodes that were cut."""
         cut = self._cut(unknowns, codes, move=True)
         self._remove_held(unknowns)
+        # the first tangent, of nodes in 3D alone: unknowns count from what the support prescribes
         self.values.reshape(-1, self.dim)[self.driven, 1:2] = 0.0
         return cut
 

@@ -145,6 +145,7 @@ class Augmented:
         self._offset = share_of_start * self._start_pressures
         #: whether one solve suffices
         self.exact = not (share_of_start > 1e-12).any()
+        # the part of the pressures that does not depend on the displacement acts as a load
         pressures_at_zero = self.pressures(np.zeros(problem.n_dofs))
         self.problem = formed.posing(
             load=volumes.balanced(problem.load, pressures_at_zero),

@@ -43,7 +43,7 @@ _ENTRIES = {1: 7, 2: 15, 3: 45}
 def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED) -> bool:
     """Return whether factors of the matrix take at most the work of ``most[dim]`` dofs of linear
     elements."""
-    # half of the entries that the rows of volumes would add to the matrix are there already
+    # a volume whose row has k entries joins k dofs, by k^2 entries, of which half are there already
     added = 0.5 * np.sum(np.diff(problem.volumes.rows.indptr).astype(float) ** 2)
     entries = problem.rows.nonzeros + added
     return bool(max(entries / _ENTRIES[problem.dim], problem.n_dofs) <= most[problem.dim])

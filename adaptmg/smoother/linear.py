@@ -220,6 +220,7 @@ class AMG:
         """Build a hierarchy of coarse matrices; see :class:`LinearSolver`."""
         import pyamg
 
+        # theta 0: all neighbours are strongly connected
         basis = matrix if preconditioner is None else preconditioner
         smoother = ("block_gauss_seidel", {"sweep": "symmetric"})
         with seeded():
@@ -309,7 +310,7 @@ class Preconditioned:
             residual = rhs - product(unknowns)
             error = _energy(residual, precondition(residual))
             accurate = not error > rtol * solution_energy
-            idle = not len(norms) > 1
+            idle = not len(norms) > 1  # no iteration was made
             if accurate or idle or iterations >= self.options.MAX_ITERATIONS:
                 break
             # as much smaller as the error is too large, with a margin of a half, at most by a hundred

@@ -125,7 +125,7 @@ def solve_2d(
     """Solve the problem of one node in 2D and return (w_n, w_t): try open, then stick, then slip. In the
     letters of the module, ``m_nn``, ``m_nt`` and ``m_tt`` are the entries of M, ``c_n`` and ``c_t`` those
     of c, ``gap`` is g_0, ``reference`` the w_t of zero slip, ``limit`` s, ``friction`` mu and
-    ``compliance`` e."""
+    ``compliance`` e; ``p_stick`` is p_0, the pressure without slip."""
     # from here on the tangential unknown is the slip
     c_n -= m_nt * reference
     c_t -= m_tt * reference
@@ -210,7 +210,7 @@ def solve_3d(
     c_n -= m_n1 * reference_1 + m_n2 * reference_2
     c_1 -= m_11 * reference_1 + m_12 * reference_2
     c_2 -= m_12 * reference_1 + m_22 * reference_2
-    # open: w_n is eliminated with p = 0
+    # open: w_n is eliminated with p = 0, so that a, p_0 and mu are 0
     ratio_1 = m_n1 / m_nn
     ratio_2 = m_n2 / m_nn
     slip_1, slip_2 = slip_3d(
@@ -267,7 +267,7 @@ def _solve_held(
     tangent, which a support holds."""
     c_n -= m_nt * reference
     c_t -= m_tt * reference
-    # open: w_n is eliminated with p = 0
+    # open: w_n is eliminated with p = 0, so that a, p_0 and mu are 0
     ratio = m_nt / m_nn
     slip = _slip_held(m_tt - ratio * m_nt, c_t - ratio * c_n, 0.0, 0.0, held_slip, limit, 0.0)
     w_n = c_n / m_nn - ratio * slip

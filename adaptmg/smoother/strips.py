@@ -90,7 +90,7 @@ def _bounds(last_neighbour: np.ndarray) -> list[int]:
     n = len(last_neighbour)
     # nodes at places below k are coupled with places below reach[k] only
     reach = np.append(0, np.maximum.accumulate(last_neighbour) + 1)
-    shortest = -(-n // (2 * threads.PARTS))
+    shortest = -(-n // (2 * threads.PARTS))  # rounded up: at most PARTS strips of each colour
     bounds = [0]
     while bounds[-1] < n:
         # a strip from b to reach[reach[b]] or further: a node that is coupled with the strip before it

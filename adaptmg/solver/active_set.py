@@ -457,6 +457,7 @@ class CondensedSteps:
         solver does not converge."""
         with self.run.phase("solve"):
             n, dim = equations.force.shape
+            # rows and columns by contact node and component
             matrix = self.condensed.matrix.copy().reshape(n, dim, n, dim)
             node = np.arange(n)
             # A_t - mu z A_n + kappa Pi: friction follows the pressure, so that tangential rows take

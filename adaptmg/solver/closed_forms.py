@@ -79,8 +79,8 @@ Blocks = tuple[np.ndarray, np.ndarray]  # nodes (n, k), stiffness (n, k, k, dim,
 def _condition(
     name: str, missed: np.ndarray, scale: float, rounding: float = 0.0, limit: float = ALLOWED
 ) -> Condition:
-    """Return the line of a certificate on forces that are ``missed``, N, over their scale, N (0:
-    they are not divided)."""
+    """Return the line of a certificate on forces that are ``missed``, N, an array of any shape, over their
+    scale, N (0: they are not divided); ``limit`` is the largest ratio that passes."""
     total = float(np.linalg.norm(missed))
     largest = float(np.abs(missed).max(initial=0.0))
     scale = scale or 1.0

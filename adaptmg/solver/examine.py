@@ -274,7 +274,8 @@ class Examiner:
         on_mesh: ConditionsOnMesh | None = None,
         certified: bool = True,
     ) -> None:
-        """Prepare for a problem; ``on_mesh`` returns the lines of the certificate that need the mesh."""
+        """Prepare for a problem; ``on_mesh`` returns the lines of the certificate that need the mesh. Without
+        ``certified`` there are no certificates."""
         self.discrete = discrete
         self.on_mesh = on_mesh
         self.certified = certified

@@ -211,8 +211,8 @@ class StopTest:
         self.residual = ratio(residual, state.forces)
         self._last_residual = residual
         self._at_rounding = self.residual_is_rounding(state.floor)
-        is_least = self._residual_within(self.ROUNDING_LEVEL * state.floor, self.BALANCED)
-        self._iterates_at_rounding = self._iterates_at_rounding + 1 if is_least else 0
+        cannot_fall = self._residual_within(self.ROUNDING_LEVEL * state.floor, self.BALANCED)
+        self._iterates_at_rounding = self._iterates_at_rounding + 1 if cannot_fall else 0
         # changes at rounding have no rate: there the residual stands for the error
         self.error_estimate = (
             self.residual if self._at_rounding else self._caution * self._estimate()
@@ -397,6 +397,8 @@ class Measure:
         reference: np.ndarray | None = None,
         sizes: Sizes | None = None,
     ) -> None:
+        """Prepare the norms of a problem; ``sizes`` are what they are relative to, by default those of the
+        problem. On the finest level the ``run`` may have the reference, Cartesian."""
         self.sizes = Sizes(local.discrete, local.frames) if sizes is None else sizes
         if reference is None and run is not None and run.reference is not None:
             reference = local.to_local(run.reference)
@@ -404,7 +406,7 @@ class Measure:
         self.run = run
         self.reference = reference
         blocks = local.system.diagonal.reshape(-1, local.system.dim, local.system.dim)
-        self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)
+        self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)  # (n_dofs,): D
         self._last_iterate: tuple[np.ndarray, np.ndarray] | None = None
 
     def __call__(

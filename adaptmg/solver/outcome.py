@@ -300,6 +300,7 @@ def _checked(outcome: Outcome, examined: Examined, solver: Solver | None) -> Out
     rtol = outcome.rtol
     least = checked.energy_rounding
     if status.ok and 0 < rtol < checked.energy_error <= least:
+        # the attribute of the class is the default of the option
         default = "the default " if rtol == getattr(type(solver), "rtol", None) else ""
         advise(
             "rounding",

@@ -151,6 +151,7 @@ class _Body:
         """Return the names of the bodies of this part in messages, and their nodes (n,): of a single body
         the name is empty."""
         bodies = self.problem.bodies or {}
+        # a body lies in one part: its first node tells whether in this one
         inside = [
             (f"body {name!r}", nodes)
             for name, nodes in bodies.items()

@@ -156,6 +156,7 @@ class Stepped:
 
         def step(state: State) -> State:
             """Return the next state, checked, and count its work."""
+            # without the passes that are counted: a step may return its state with other unknowns only
             new = stepper.step(replace(state, passes=0.0))
             checks.instance("solver: what step returns", new, State, "an am.State")
             for name in ("unknowns", "residual"):

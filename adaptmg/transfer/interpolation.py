@@ -161,6 +161,7 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
     element = np.empty(fine.n_nodes, dtype=np.int32)
     weights = np.empty((fine.n_nodes, fine.dim + 1))
     distance = np.empty(fine.n_nodes)
+    # of a single body all nodes are located
     body_of = None if locators[0][0] is None else nodes_of_bodies(fine)
     for body, locator in locators:
         nodes = slice(None) if body is None else np.flatnonzero(body_of == body)
@@ -242,6 +243,7 @@ def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
         bodies.append((slice(node, next_node + 1), _axes(coarse_cells, fine_cells, column)))
         node = next_node
         column = next_column
+    # first the number of entries of each row, then the entries
     indptr = np.zeros(fine.n_nodes + 1, dtype=np.int32)
     _interpolate(bodies, indptr, np.empty(0, dtype=np.int32), np.empty(0))
     np.cumsum(indptr, out=indptr)

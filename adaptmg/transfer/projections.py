@@ -131,13 +131,16 @@ class QuasiInterpolation(_Projection):
 
 def _patch_coefficients(fine: MeshArrays, node: np.ndarray, element: np.ndarray) -> np.ndarray:
     """Return c_i . q(x_k) of :class:`QuasiInterpolation` at the corners k of each element of the
-    patch of each node i: (n_incidences, dim + 1); ``node``, ``element``: the incidences, by nodes."""
+    patch of each node i: (n_incidences, dim + 1). ``node`` and ``element`` (n_incidences,) are i and the
+    element, by ascending i."""
     k = fine.dim + 1
+    # the first incidence of each node
     first = np.searchsorted(node, np.arange(fine.n_nodes))
     relative = fine.points[fine.elements[element]] - fine.points[node][:, None, :]
     size = np.maximum.reduceat(np.abs(relative).max(axis=(1, 2)), first)
     q = np.concatenate([np.ones((len(node), k, 1)), relative / size[node][:, None, None]], axis=2)
-    # integral of q q' over an element, from the values of q at its corners
+    # integral of q q' over an element, |T| (sum_k q_k q_k' + total total') / (k (k + 1)), from the values
+    # q_k at its k = dim + 1 corners and their sum
     total = q.sum(axis=1)
     gram = np.einsum("pka,pkb->pab", q, q) + total[:, :, None] * total[:, None, :]
     gram *= (fine.volumes[element] / (k * (k + 1)))[:, None, None]
@@ -300,7 +303,7 @@ class MixedMass:
 
 
 def mixed_mass(coarse: MeshArrays, fine: MeshArrays) -> MixedMass:
-    """Compute the integrals, body by body."""
+    """Return the integrals of two meshes, body by body."""
     # both are called for their checks alone: nodes outside the coarse mesh, and nodes without elements
     interpolation.locate_nodes(coarse, fine)
     interpolation.nodes_of_bodies(fine)
