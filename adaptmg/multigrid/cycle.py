@@ -219,7 +219,9 @@ def correction_levels(
     finest: int,
     coarse_matrices: str = "galerkin",
 ) -> list[CorrectionLevel]:
-    """Return the level ``finest`` of a hierarchy and those below it, coarsest first."""
+    """Return the level ``finest`` of a hierarchy and those below it, coarsest first. ``problems`` are those
+    of all levels of the hierarchy; matrices of coarse levels are "galerkin" products of the level above,
+    or else those of the problems."""
     fine = CorrectionLevel(problems[finest].system)
     finer = None  # the level above ``fine``
     levels = [fine]  # finest first

@@ -200,6 +200,8 @@ class NodalUpdate:
         rows: np.ndarray,
         columns: np.ndarray,
     ) -> None:
+        """List the products by which changed blocks at ``rows`` and ``columns`` (n_blocks,), nodes, change
+        each level below."""
         self.below: list[_ChangedBlocks] = []
         for level, nodal in zip(reversed(levels), reversed(prolongations), strict=True):
             self.below.append(_products(level, nodal, rows, columns))

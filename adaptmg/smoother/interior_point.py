@@ -266,6 +266,7 @@ class _Method:
         self.residual = self.load - product - self.span.restricted(forces)  # f - S x - R'q
         if self.layer is not None:
             gap, compliance = self.layer.tangent(self.state[:, _PRESSURE])
+            # the reference of slips, s and mu stay
             self.conditions = gap, *self.conditions[1:4], compliance
         self.total, gap_error, length = _measure(self.state, *self.conditions)
         energy = max(float(self.unknowns @ product), self.least_energy)

@@ -253,11 +253,10 @@ class _NewtonState:
 class _Newton:
     """The Newton steps on one level."""
 
-    #: tolerances of the interior point method: the next one is taken when the Newton steps return to an earlier status;
-    #: and its steps at most
-    #: TOLERANCES: a hundredth changes 24 of 119 solves, paths and loops, a hundred times 21
-    #: (campaign constants)
+    #: tolerances of the interior point method: the next one is taken when the Newton steps return to an earlier status.
+    #: With a hundredth 24 of 119 solves, paths and loops change, with a hundred times 21 (campaign constants)
     TOLERANCES = (1e-9, 1e-12, 1e-15)
+    #: steps of the interior point method, at most
     MOST = 60
     #: Newton steps after which the iteration counts as repeating itself: in 3D the direction of a slip may rotate
     #: without end while no status returns
@@ -277,8 +276,10 @@ class _Newton:
         finest: bool = False,
         whole: Callable[[np.ndarray], np.ndarray] = np.asarray,
     ) -> None:
-        """Prepare steps from ``start`` (n_dofs,), Cartesian; ``whole`` makes a solution
-        (n_unknowns,) of the posed problem from a displacement (n_dofs,)."""
+        """Prepare steps from ``start`` (n_dofs,), Cartesian; without it the option ``start`` says where
+        they begin. With ``condensed`` the matrix of a step is that of the contact dofs, else the whole
+        one. ``finest``: the run records the steps. ``whole`` makes a solution (n_unknowns,) of the posed
+        problem from a displacement (n_dofs,)."""
         self.options = options
         self.local = local
         self.run = run

@@ -449,9 +449,10 @@ def _motion_to_blame(
 
 
 def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the corners (n, dim - 1) of the polygon about the unit disc, and the directions and the
-    half length of the segments whose sum it is. Scalar problems have no tangents: no columns."""
-    if dim < 3:
+    """Return the corners (n, dim - 1) of the polygon about the unit disc, and the directions
+    (n/2, dim - 1) and the half length of the segments whose sum it is. Scalar problems have no tangents:
+    no columns."""
+    if dim < 3:  # the disc is the segment from -1 to 1
         return np.array([[1.0], [-1.0]])[:, : dim - 1], np.array([[1.0]])[:, : dim - 1], 1.0
     angles = np.pi * np.arange(2 * _SEGMENTS) / _SEGMENTS
     half_angle = 0.5 * np.pi / _SEGMENTS

@@ -254,7 +254,9 @@ def _arrays(file: BinaryIO) -> dict[str, np.ndarray]:
 
 
 class StepStore:
-    """A folder of steps under a head."""
+    """A folder of steps, a file each, and of a ``head``, the JSON file ``name``: what all steps share.
+    Its hash, the ``key``, is in each of them. ``kinds`` are the classes that files may hold, first that
+    of a step."""
 
     def __init__(self, folder: Path, name: str, head: Mapping[str, object], kinds: Kinds) -> None:
         self.folder = folder

@@ -218,7 +218,7 @@ def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, dr
     Iterative Methods for Sparse Linear Systems, 2003, algorithm 12.1) for D^-1 M, D the diagonal;
     sparse iterates lose entries below ``drop``."""
     inverse = sparse.diags_array(1.0 / mass.diagonal()).tocsr()
-    # on any mesh the eigenvalues of D^-1 M lie between these two
+    # on any mesh the eigenvalues of D^-1 M lie between these two (Wathen 1987)
     low = 0.5
     high = (dim + 2) / 2
     middle = (high + low) / 2
@@ -469,8 +469,10 @@ def clip_elements(
 
 @kernel
 def _separates(points, corners, maps, e, mu):
-    """Return whether a face of element ``e`` of ``maps`` parts it from the simplex ``corners``.
-    Writes the barycentric coordinate m of corner v at ``mu[v, m]``, snapped to zero."""
+    """Return whether a face of element ``e`` parts it from the simplex of the nodes ``corners``
+    (dim + 1,) among ``points``. The rows of ``maps`` are those of
+    :func:`~adaptmg.geometry.location.affine_maps`: origin, then gradients. Writes the barycentric
+    coordinate m of corner v at ``mu[v, m]``, snapped to zero: all of them only if no face does."""
     # the same as ``barycentric``, but face by face: most pairs are parted by one of the first
     k = len(corners)
     dim = k - 1
