@@ -81,7 +81,10 @@ def test_public_names_resolve_and_are_documented():
             "import adaptmg",
             ["ngsolve", "netgen", "pandas", "matplotlib", "numba", "pyamg", "scipy"],
         ),
-        ("import adaptmg.cli", ["ngsolve", "netgen"]),
+        (
+            "import adaptmg.cli, adaptmg.study as study; study.Study(lambda n: {'m': n}, {'n': [1]}).run()",
+            ["ngsolve", "netgen", "dask", "distributed"],
+        ),
         (
             "import adaptmg as am; am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4)))",
             ["ngsolve", "netgen", "pandas", "matplotlib", "scipy.optimize", "scipy.spatial"],
