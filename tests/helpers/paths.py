@@ -18,7 +18,13 @@ def resumed(
     whole = am.solve_path(grids, path, solver)
     with pytest.raises(ZeroDivisionError):
         am.solve_path(grids, path, solver, store=store, callback=lambda k, _: 1 / (after - k))
-    steps = am.solve_path(grids, path, solver, store=store)
+    stored = am.PathResult.load(store)
+    assert len(stored) == after + 1 and not stored.complete
+    solved = []
+    steps = am.solve_path(grids, path, solver, store=store, callback=lambda k, _: solved.append(k))
+    assert steps.complete and solved == list(range(after + 1, len(path)))
     for one, other in zip(whole, steps, strict=True):
         np.testing.assert_array_equal(one.displacement, other.displacement)
+        np.testing.assert_array_equal(one.pressures, other.pressures)
+        assert (one.motions, one.cycles, one.rtol) == (other.motions, other.cycles, other.rtol)
     return steps

@@ -8,6 +8,7 @@ import pytest
 from bodies import bar_hierarchy, bar_on_block, dragged_block
 from norms import distance as energy_distance
 from norms import far as distance
+from paths import resumed
 from scipy import sparse
 from smoother_problems import Idle
 
@@ -365,16 +366,7 @@ def solved_steps(*arguments, **options) -> list[int]:
 
 @pytest.mark.parametrize("solver", [am.FullMultigrid(rtol="discretisation"), EXACT])
 def test_an_interrupted_path_goes_on(rough, solver, tmp_path):
-    whole = am.solve_path(rough, CYCLE, solver)
-    with pytest.raises(ZeroDivisionError):
-        am.solve_path(rough, CYCLE, solver, store=tmp_path, callback=lambda k, result: 1 / (1 - k))
-    assert len(am.PathResult.load(tmp_path)) == 2 and not am.PathResult.load(tmp_path).complete
-    assert solved_steps(rough, CYCLE, solver, store=tmp_path) == [2, 3]
-    resumed = am.PathResult.load(tmp_path)
-    assert resumed.complete
-    for result, wanted in zip(resumed, whole, strict=True):
-        assert np.array_equal(result.displacement, wanted.displacement)
-        assert (result.cycles, result.rtol) == (wanted.cycles, wanted.rtol)
+    resumed(rough, CYCLE, solver, tmp_path, after=1)
     assert not solved_steps(rough, CYCLE, solver, store=tmp_path)
 
 
