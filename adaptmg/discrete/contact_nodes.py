@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -208,7 +208,7 @@ class ContactNodes:
     def __len__(self) -> int:
         return len(self.nodes)
 
-    @property
+    @cached_property
     def dim(self) -> int:
         """Return the number of unknowns of a node: the space dimension, of scalar problems 1."""
         return self.normals.shape[1]

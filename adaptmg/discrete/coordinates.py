@@ -29,6 +29,7 @@ carries :math:`-W^T` of it, so that the forces balance."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -271,9 +272,9 @@ class Unknowns:
         """Return whether the unknowns are relative to other bodies."""
         return self.coupling is not None and self.coupling.between_bodies
 
-    @property
+    @cached_property
     def dim(self) -> int:
-        """Return the space dimension."""
+        """Return the space dimension, which a solve asks for a hundred times."""
         return self.contact.dim
 
     def physical(self, unknowns: np.ndarray) -> np.ndarray:

@@ -476,7 +476,7 @@ class DiscreteProblem(Unknowns):
         """Return the number of degrees of freedom and of the pressures of ``volumes``."""
         return self.n_dofs + len(self.volumes)
 
-    @property
+    @cached_property
     def n_nodes(self) -> int:
         """Return the number of nodes."""
         return self.n_dofs // self.dim

@@ -46,6 +46,8 @@ FACTORISED = {1: 1_000, 2: 30_000, 3: 6_000}
 LARGE_COARSEST = 1500
 #: nodes of a level over those of the next coarser one below which, there, the two are too close
 WIDE = {1: 2, 2: 2, 3: 4}
+#: the default on several levels: its options are checked once, not in each solve
+_FULL_MULTIGRID = FullMultigrid()
 
 
 def tolerance_argument(rtol: float | None, solver: Solver | Method | None) -> float | None:
@@ -107,7 +109,7 @@ def _levels_that_pay(grids: Grids) -> tuple[Grids, Solver, str]:
     nodes = [level.n_nodes for level in grids.levels]
     least_ratio = WIDE[grids.finest.discrete.dim]
     if finest.discrete.dim * nodes[0] <= LARGE_COARSEST:  # its factors cost little
-        return grids, FullMultigrid(), ""
+        return grids, _FULL_MULTIGRID, ""
     if (
         nodes[-1] < least_ratio * nodes[0]
         and finest.discrete.dim * len(finest.discrete.contact) <= LARGE_COARSEST
@@ -136,7 +138,7 @@ def _levels_that_pay(grids: Grids) -> tuple[Grids, Solver, str]:
     sizes_left_out = ", ".join(str(nodes[level]) for level in too_close)
     return (
         grids,
-        FullMultigrid(),
+        _FULL_MULTIGRID,
         (
             f"without the meshes of {sizes_left_out} nodes, too close to others"
             if len(grids) < len(nodes)

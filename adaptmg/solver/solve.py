@@ -140,11 +140,7 @@ def solve(
         # of the coarse spaces and prolongations that the default has made
         timings={} if grids is posed_grids else dict(grids.timings),
     )
-    _LOG.debug(
-        "nodes of the levels: %s (%s)",
-        ", ".join(str(level.n_nodes) for level in grids.levels),
-        grids.origin,
-    )
+    _LOG.debug("%s", grids)  # as a table, made where somebody reads it
     with run.phase("statics"):
         check_statics_of(grids)
     with run.phase("setup"):
@@ -176,9 +172,7 @@ def solve(
         result.seconds,
         result.method,
     )
-    _LOG.debug(
-        "seconds: %s", ", ".join(f"{name} {value:.3g}" for name, value in result.timings.items())
-    )
+    _LOG.debug("seconds by phase: %s", result.timings)
     if throw and not result.status.ok:
         raise NotConverged(result)
     return result
