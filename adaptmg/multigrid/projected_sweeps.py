@@ -422,6 +422,18 @@ class Interface:
         self.forward = np.arange(len(self.nodes), dtype=np.int32)
         self.backward = self.forward[::-1].copy()
         self.nonzeros = len(self.blocks) + len(self.diagonal)
+        #: what the local sweeps read
+        self.arrays = (
+            self.nodes,
+            self.indptr,
+            self.indices,
+            self.blocks,
+            self.diagonal,
+            self.follow_indptr,
+            self.followers,
+            self.follow_weights,
+            self.master_inverse,
+        )
 
     def _set_rows(self, level: SplitMatrix, lower: sparse.csr_array) -> None:
         """Set the rows of the nodes in L + L', without the diagonal; ``lower`` has the numbers of the
@@ -479,18 +491,3 @@ class Interface:
         for a, b in np.ndindex(dim, dim):
             result[:, a, b] = motion[:, a::dim].multiply(forces[:, b::dim]).sum(axis=0)
         return result
-
-    @property
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays that the local sweeps read."""
-        return (
-            self.nodes,
-            self.indptr,
-            self.indices,
-            self.blocks,
-            self.diagonal,
-            self.follow_indptr,
-            self.followers,
-            self.follow_weights,
-            self.master_inverse,
-        )

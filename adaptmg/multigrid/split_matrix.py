@@ -97,12 +97,10 @@ class SplitMatrix:
     def shared_arrays(self) -> tuple[np.ndarray, ...]:
         """Return what sweeps read that need L alone: ``kinds``, the three arrays of L, and the inverse
         blocks."""
-        # L before the inverse blocks: it makes both again, if they were set aside
-        return self.kinds, *self.lower_arrays, self.inverse
+        return self.kinds, self.lower_indptr, self.lower_indices, self.lower, self.inverse
 
     @property
     def lower_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        self.complete()
         return self.lower_indptr, self.lower_indices, self.lower
 
     @property

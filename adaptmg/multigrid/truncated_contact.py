@@ -216,7 +216,7 @@ class TruncatedContact:
             self._follow_layer(self.layer, np.zeros_like(normal_displacement), normal_displacement)
         # there is no status yet: no node sticks, and those that penetrate a spring may stay in it
         penetrates_spring = (self.spring > 0) & (normal_displacement > self.gap)
-        self._project(unknowns, np.where(penetrates_spring, CLOSED, 0).astype(np.int8))
+        self.project(unknowns, np.where(penetrates_spring, CLOSED, 0).astype(np.int8))
 
     def closing_share(self, unknowns: np.ndarray) -> float:
         """Return the share of a change to unknowns (n_dofs,) at which its first open node closes,
@@ -334,11 +334,6 @@ class TruncatedContact:
         at[self.nodes[self.driven]] -= along[:, None] * tangents
         return float(np.sum(along**2))
 
-    def project(self, unknowns: np.ndarray) -> int:
-        """Make a corrected iterate (n_dofs,) admissible, in place; return the number of nodes that had to be
-        cut."""
-        return self._project(unknowns, self.codes)
-
     def project_by(
         self,
         project: Callable[[NodalContact, np.ndarray, np.ndarray], np.ndarray],
@@ -372,14 +367,12 @@ class TruncatedContact:
         self.values[:] = values.reshape(-1)
         unknowns[dofs] = from_frames(frames, values)
 
-    def _project(self, unknowns: np.ndarray, codes: np.ndarray) -> int:
-        """Make unknowns (n_dofs,) admissible to a status, the ``codes`` (n_contact,), in place; return the
-        number of nodes that were cut."""
-        cut = self._cut(unknowns, codes, move=True)
+    def project(self, unknowns: np.ndarray, codes: np.ndarray) -> None:
+        """Make unknowns (n_dofs,) admissible to a status, the ``codes`` (n_contact,), in place."""
+        self._cut(unknowns, codes, move=True)
         self._remove_held(unknowns)
         # the first tangent, of nodes in 3D alone: unknowns count from what the support prescribes
         self.values.reshape(-1, self.dim)[self.driven, 1:2] = 0.0
-        return cut
 
     def _cut(self, unknowns: np.ndarray, codes: np.ndarray, move: bool) -> int:
         """Return the number of nodes that the projection of unknowns (n_dofs,) cuts for a status, the
@@ -418,21 +411,21 @@ class TruncatedContact:
         slip = (
             before.reshape(shape)[slipping, 1:] - self.reference.reshape(-1, self.dim - 1)[slipping]
         )
-        slope = friction_slope(slip, change[slipping, 1:], self._bound[slipping])
-        return lambda alpha: slope(alpha) + of_springs * alpha
+        return friction_slope(slip, change[slipping, 1:], self._bound[slipping], of_springs)
 
 
 def friction_slope(
-    slip: np.ndarray, change: np.ndarray, bound: np.ndarray
+    slip: np.ndarray, change: np.ndarray, bound: np.ndarray, curvature: float = 0.0
 ) -> Callable[[float], float]:
-    """Return the derivative of sum g |slip + alpha change| by alpha, from slips (n, dim - 1) and g
-    (n,)."""
+    """Return the derivative of sum g |slip + alpha change| + curvature alpha^2 / 2 by alpha, from slips
+    (n, dim - 1) and g (n,)."""
 
     def slope(alpha: float) -> float:
         moved = slip + alpha * change
         size = np.linalg.norm(moved, axis=1)
         product = np.einsum("nt,nt->n", moved, change)
-        return float(bound @ np.divide(product, size, out=np.zeros_like(size), where=size > 0))
+        rates = np.divide(product, size, out=np.zeros_like(size), where=size > 0)
+        return float(bound @ rates) + curvature * alpha
 
     return slope
 

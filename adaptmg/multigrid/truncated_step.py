@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, cast
 
 import numpy as np
@@ -96,7 +97,6 @@ class TruncatedState:
     changed: int = 0  # contact nodes whose status changed
     natural: float = np.inf  # Euclidean norm of the natural residual, N
     reactions: float = 0.0  # norm of the contact forces, N
-    energy: float = np.nan  # u'Au, N m; NaN: not computed
     size: float = 0.0  # A-norm of the displacement, when it was measured last
     moves: int = 0  # contact problems on a coarse level so far
     # A-norm, over ``size``, above which the next correction ends where the first open node closes
@@ -176,7 +176,8 @@ class TruncatedStep:
 
     def correct(self, state: TruncatedState) -> TruncatedState:
         """Return the state after a correction from the coarser levels, projection and search; a copy
-        of a start."""
+        of a start. Each step begins here: what was set aside of the matrix is made again."""
+        self.matrix.complete()
         if state.linearised is None or state.coarse_residual is None:
             return with_fields(state, iterate=state.iterate.copy(), contact=state.contact.copy())
         self._truncate(state.linearised)
@@ -214,6 +215,8 @@ class TruncatedStep:
             corrected=True,
             past=(*newest, *state.past)[: self.options.recombine],
             cautious=max(state.cautious - 1, 0),
+            shorten_above=np.inf,
+            from_start=None,
         )
 
     def _corrected(
@@ -232,10 +235,7 @@ class TruncatedStep:
         to its residual; return the state, which :meth:`linearise` takes."""
         self._sweep(state)
         if self.interface is not None:
-            for k in range(self.options.interface_sweeps):
-                backward = k % 2 == 0
-                order = self.interface.backward if backward else self.interface.forward
-                self._interface_sweep(state, self.interface, order)
+            self._sweep_interface(state, self.interface)
         unknowns, pressures = self.parts(state)
         if self.motions is None:
             return state
@@ -255,22 +255,24 @@ class TruncatedStep:
         self,
         state: TruncatedState,
         trusted: Callable[[np.ndarray], float] = lambda unknowns: np.inf,
-        with_energy: bool = False,
+        norm: Callable[[np.ndarray, float], float] | None = None,
     ) -> TruncatedState:
         """Return the state with the contact status after the smoothing, and with the residual truncated
         for this status.
 
         If the natural residual, N, is above ``trusted(unknowns)``, the bounds g of friction are frozen
-        in the coarse matrices, which keeps them symmetric."""
+        in the coarse matrices, which keeps them symmetric. ``norm`` returns the size of a displacement
+        with the energy u'Au; None: the size stays that of the state."""
         unknowns, pressures = self.parts(state)
         contact = state.contact
         residual = state.residual  # f - B'p - A u, which is truncated in place below
-        energy = np.nan
-        if with_energy:
+        size = state.size
+        if norm is not None:
             # u'Au = u'f - u'r, and the energy of the pressures
             balanced = self.pressures.volumes.balanced(self.load, pressures)
             energy = _product(unknowns, balanced) - _product(unknowns, residual)
             energy += self.pressures.volumes.energy(pressures)
+            size = norm(unknowns, energy)
         changed, natural_squares, reaction_squares = contact.update_status(residual)
         # only pressures need it
         full_residual = residual.copy() if len(pressures) else residual
@@ -292,7 +294,7 @@ class TruncatedStep:
             changed=changed,
             natural=natural,
             reactions=float(np.sqrt(reaction_squares)),
-            energy=energy,
+            size=size,
         )
         frozen = natural > trusted(unknowns)
         return self._with_linear_problem(measured, full_residual, frozen)
@@ -386,7 +388,7 @@ class TruncatedStep:
         """Make a corrected iterate (n_dofs,) admissible, in place."""
         projection = self.options.project
         if projection is None:
-            contact.project(unknowns)
+            contact.project(unknowns, contact.codes)
         else:
             contact.project_by(projection.project, unknowns)
 
@@ -411,37 +413,18 @@ class TruncatedStep:
         contact = state.contact
         unknowns, pressures = self.parts(state)
         state.residual[:] = self.pressures.volumes.balanced(self.load, pressures)
-        matrix.sweep(
-            projected_sweeps.backward,
-            *matrix.shared_arrays,
-            contact.contact_of,
-            *contact.node_data,
-            unknowns,
-            state.residual,
-            backward=True,
-        )
-        matrix.sweep(
-            projected_sweeps.forward,
-            *matrix.shared_arrays,
-            contact.diagonal,
-            contact.contact_of,
-            *contact.node_data,
-            unknowns,
-            state.residual,
-        )
+        halves = matrix.shared_arrays
+        arguments = contact.contact_of, *contact.node_data, unknowns, state.residual
+        matrix.sweep(projected_sweeps.backward, *halves, *arguments, backward=True)
+        matrix.sweep(projected_sweeps.forward, *halves, contact.diagonal, *arguments)
         # two half passes, and two sweeps
         self.cycle.recorder.count(1.0, matrix.nonzeros)
         self.cycle.recorder.visit(self.number, "smooth", 2)
 
-    def _interface_sweep(
-        self, state: TruncatedState, interface: Interface, order: np.ndarray
-    ) -> None:
-        """Sweep once over the nodes near the interface; ``order`` (n,) has their places in
-        ``interface.nodes``."""
+    def _sweep_interface(self, state: TruncatedState, interface: Interface) -> None:
+        """Sweep over the nodes near the interface, backward and forward in turn."""
         contact = state.contact
-        projected_sweeps.local(
-            ZERO[self.matrix.dim],
-            order,
+        arguments = (
             *interface.arrays,
             self.matrix.inverse,
             contact.contact_of,
@@ -449,7 +432,10 @@ class TruncatedStep:
             self.displacement(state),
             state.residual,
         )
-        self.cycle.recorder.count(1.0, interface.nonzeros)
+        for k in range(self.options.interface_sweeps):
+            order = interface.backward if k % 2 == 0 else interface.forward
+            projected_sweeps.local(ZERO[self.matrix.dim], order, *arguments)
+            self.cycle.recorder.count(1.0, interface.nonzeros)
 
     def _recombined(
         self, state: TruncatedState, coarse_residual: np.ndarray
@@ -564,10 +550,10 @@ class TruncatedStep:
         return float(np.sqrt(square))
 
 
-def _parts(n: int) -> Iterator[slice]:
-    """Yield the slices of ``PART`` entries of a vector (n,)."""
-    for first in range(0, n, PART):
-        yield slice(first, first + PART)
+@lru_cache(maxsize=32)  # of vectors of all levels: each is cut in every cycle
+def _parts(n: int) -> tuple[slice, ...]:
+    """Return the slices of ``PART`` entries of a vector (n,)."""
+    return tuple(slice(first, first + PART) for first in range(0, n, PART))
 
 
 def _changes(state: TruncatedState, coarse_residual: np.ndarray, part: slice) -> np.ndarray:

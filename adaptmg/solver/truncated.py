@@ -195,36 +195,35 @@ class TruncatedCycles:
         self.nested = nested
         self.sizes = Sizes(problem)
 
+    def begin(self, iterate: np.ndarray) -> TruncatedState:
+        """Return the state of a start (n_unknowns,), which is made admissible in place.
+
+        At the begin of a solve, except from a given start, and after a coarse contact problem the
+        contact status is uncertain: a whole correction may carry open nodes through the obstacle. The
+        next one then ends where the first of them closes; a small one does not: with these shortened,
+        too, 6 of 354 solves of random bodies and 3 of 6 meshes of a loop take a cycle more, none fewer.
+        With no first one shortened 12 of 96 solves of beams from 5 : 1 to 50 : 1 are handed over that
+        otherwise converge; 90 solves of random bodies in the plane take 417 cycles with a fifth and
+        half of this limit, too."""
+        is_uncertain = self.coarse is not None and self.origin != "given"
+        return with_fields(
+            self.parts.begin(iterate), shorten_above=self.LARGE if is_uncertain else np.inf
+        )
+
     def step(self, state: TruncatedState) -> TruncatedState:
         """Return the state after a correction (of a start there is none), perhaps a coarse contact
         problem, smoothing and linearisation."""
         parts = self.parts
-        # At the begin of a solve, except from a given start, and after a coarse contact problem the
-        # contact status is uncertain: a whole correction may carry open nodes through the obstacle.
-        # The next one then ends where the first of them closes; a small one does not: with these
-        # shortened, too, 6 of 354 solves of random bodies and 3 of 6 meshes of a loop take a cycle
-        # more, none fewer. With no first one shortened 12 of 96 solves of beams from 5 : 1 to 50 : 1
-        # are handed over that otherwise converge; 90 solves of random bodies in the plane take 417
-        # cycles with a fifth and half of this limit, too.
-        is_uncertain = (
-            self.coarse is not None and self.origin != "given" and state.linearised is None
-        )
-        new = with_fields(
-            parts.correct(state), shorten_above=self.LARGE if is_uncertain else np.inf
-        )
-        from_start = (
-            parts.distance(parts.displacement(new), self.nested[: parts.matrix.n_dofs])
-            if new.cycles == 1 and self.nested is not None
-            else None
-        )
+        new = parts.correct(state)
+        if new.cycles == 1 and self.nested is not None:
+            nested = self.nested[: parts.matrix.n_dofs]
+            new = with_fields(new, from_start=parts.distance(parts.displacement(new), nested))
         if self.coarse is not None and self._seeks_status(new):
             new = self._after_coarse_contact(new, self.coarse())
         # Sizes are measured every fourth cycle and after a coarse contact problem, but every cycle
         # with prescribed displacements, into which the iterate has to grow.
         measured = new.cycles % 4 == 0 or new.moves > state.moves or self.sizes.prescribed
-        new = parts.linearise(parts.smooth(new), with_energy=measured)
-        size = self.sizes.norm(parts.displacement(new), new.energy) if measured else new.size
-        return with_fields(new, size=size, from_start=from_start)
+        return parts.linearise(parts.smooth(new), norm=self.sizes.norm if measured else None)
 
     def _after_coarse_contact(
         self, state: TruncatedState, coarse_contact: CoarseContact | CoarseObstacles
@@ -455,7 +454,7 @@ class TruncatedRun:
         with self.run.phase("cycles"):
             # no variable refers to the start and the first state, whose long vectors limit the size of a
             # problem
-            begun = [parts.begin(start)]
+            begun = [cycles.begin(start)]
             del start
             state, status = iterate(
                 cycles.step, cycles.measure, cycles.step(begun.pop()), stop, self.run

@@ -137,6 +137,7 @@ def test_what_a_large_matrix_has_set_aside_is_made_again(monkeypatch):
     sweeps = []
     for _ in range(2):
         u, kept = np.zeros((2, discrete.n_dofs))
+        halves.complete()
         lower = halves.lower_arrays
         halves.sweep(
             split_matrix.gauss_seidel,
