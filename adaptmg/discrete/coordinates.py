@@ -28,9 +28,10 @@ carries :math:`-W^T` of it, so that the forces balance."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import cast
+from functools import cached_property, wraps
+from typing import ClassVar, TypeVar, cast
 
 import numpy as np
 from scipy import sparse
@@ -246,6 +247,33 @@ def held_slaves(
     return np.flatnonzero(rubs & (least <= checks.SIX_DIGITS))
 
 
+class Computed(dict):
+    """Values that functions have computed from a problem, by function and arguments; pickled without them."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Computed, ()
+
+
+Value = TypeVar("Value")
+Problem = TypeVar("Problem", bound="Unknowns")
+
+
+def remembered_of_structure(
+    function: Callable[[Problem], Value],
+) -> Callable[[Problem], Value]:
+    """Make a function compute once for all problems that share matrix, fixed dofs, contact nodes and
+    normals: those of ``posing`` of a DiscreteProblem. Load, law, prescribed values and slips must not
+    matter to it."""
+
+    @wraps(function)
+    def remembering(problem: Problem) -> Value:
+        if function not in problem._structure:
+            problem._structure[function] = function(problem)
+        return problem._structure[function]
+
+    return remembering
+
+
 class Unknowns:
     """The unknowns of a :class:`~adaptmg.discrete.problem.DiscreteProblem` in each system, there
     and back. A solution is one vector (n_unknowns,): the unknowns of the nodes, then the pressures
@@ -260,6 +288,7 @@ class Unknowns:
     fixed_values: np.ndarray
     inclined: Inclined
     ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...]
+    _structure: ClassVar[Computed]  # of :func:`remembered_of_structure`
 
     @property
     def held(self) -> np.ndarray:
@@ -392,6 +421,7 @@ class Unknowns:
             result[slaves] += change[:, None] * tangents
         return result
 
+    @remembered_of_structure
     def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, np.ndarray]]:
         """Return for the first, and in 3D the second tangent the slave nodes that supports hold along
         it and that face master nodes held along it too.

@@ -16,7 +16,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial, wraps
-from typing import Any, ClassVar, TypeVar, TypeVarTuple
+from typing import Any, ClassVar, TypeVarTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,21 +36,20 @@ from adaptmg.discrete.contact_nodes import (
     checked_matrix,
     largest_entry,
 )
-from adaptmg.discrete.coordinates import Coupling, Unknowns, held_slaves
+from adaptmg.discrete.coordinates import (
+    Computed,
+    Coupling,
+    Unknowns,
+    Value,
+    held_slaves,
+    remembered_of_structure,
+)
 from adaptmg.discrete.elasticity import ALL_NODES, rigid_body_modes
 from adaptmg.discrete.supports import EnergyTerms, Inclined
 from adaptmg.discrete.volumes import Volumes
 from adaptmg.problem.laws import Frictionless, Law, check_law, follows_state, friction_at
 
-Value = TypeVar("Value")
 Others = TypeVarTuple("Others")
-
-
-class Computed(dict):
-    """Values that functions have computed from a problem, by function and arguments; pickled without them."""
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return Computed, ()
 
 
 def near_nullspace_at(
@@ -159,7 +158,6 @@ class DiscreteProblem(Unknowns):
     # others
     _motions: ClassVar[Callable[[np.ndarray | slice], np.ndarray] | None] = None
     _computed: ClassVar[Computed]
-    _structure: ClassVar[Computed]
 
     def __init__(
         self,
@@ -494,22 +492,6 @@ def remembered(
         if key not in problem._computed:
             problem._computed[key] = function(problem, *arguments)
         return problem._computed[key]
-
-    return remembering
-
-
-def remembered_of_structure(
-    function: Callable[[DiscreteProblem], Value],
-) -> Callable[[DiscreteProblem], Value]:
-    """Make a function compute once for all problems that share matrix, fixed dofs, contact nodes and
-    normals: those of :meth:`DiscreteProblem.posing`. Load, law, prescribed values and slips must not
-    matter to it."""
-
-    @wraps(function)
-    def remembering(problem: DiscreteProblem) -> Value:
-        if function not in problem._structure:
-            problem._structure[function] = function(problem)
-        return problem._structure[function]
 
     return remembering
 
