@@ -29,15 +29,12 @@ from adaptmg.evolution.load_steps import (
 from adaptmg.grids import Grids
 from adaptmg.level import Level
 from adaptmg.multigrid.truncated_contact import with_fields
-from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.load_path import LoadPath
-from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.closed_forms import free_bodies
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.multigrid import Multigrid, handed_over
 from adaptmg.solver.outcome import checked_outcome, result_of
-from adaptmg.solver.projected import SingleGrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import Result
 from adaptmg.solver.statics import check_statics_of
@@ -345,21 +342,13 @@ class PathLoop:
         solution = np.append(displacement, result.pressures)
         self.recent = [*self.recent[-1:], (solution, self._factor_array(k))]
         self.displacements_before = self.displacements
-        if coarse is None and self._reads_coarse_displacements:
-            coarse = coarse_displacements(grids, displacement)[:-1]
-        elif coarse is None:
-            coarse = self.displacements[:-1]
+        if coarse is None:
+            # to find them takes a quarter of a path of Multigrid or ActiveSet with 4225 nodes. Guides for
+            # the motions of obstacles read them, too
+            are_read = self.controls.motions or getattr(self.solver, "reads_coarse_starts", True)
+            found = coarse_displacements(grids, displacement) if are_read else self.displacements
+            coarse = found[:-1]
         self.displacements = [*coarse, displacement]
-
-    @property
-    def _reads_coarse_displacements(self) -> bool:
-        """Return whether steps after the first one may read displacements of coarse levels: nested starts,
-        and guides for the motions of obstacles. To find them takes a quarter of a path of Multigrid or
-        ActiveSet with 4225 nodes, which go on from a start on the finest level."""
-        goes_on_finest = isinstance(self.solver, SingleGrid | ActiveSet) or (
-            type(self.solver) is Multigrid and isinstance(self.solver.correction, Truncated)
-        )
-        return bool(self.controls.motions) or not goes_on_finest
 
     def _factor_array(self, k: int) -> np.ndarray:
         """Return the factors (n,) of the loads in step k."""

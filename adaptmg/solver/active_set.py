@@ -11,7 +11,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import numpy as np
 from scipy import linalg, sparse
@@ -80,6 +80,9 @@ class ActiveSet(checks.Checked):
     >>> am.solve(grids, am.ActiveSet(linear=am.Direct())).status.name
     'CONVERGED'
     """
+
+    #: a given start is one on the finest level, which no nested start precedes
+    reads_coarse_starts: ClassVar[bool] = False
 
     linear: Annotated[
         LinearSolver,

@@ -158,6 +158,11 @@ class Multigrid(checks.Checked):
             )
 
     @property
+    def reads_coarse_starts(self) -> bool:
+        """Return whether load steps after the first one read displacements of coarse levels."""
+        return not isinstance(self.correction, Truncated)
+
+    @property
     def _named(self) -> dict[str, Any]:
         """Return the options of the projected method that the user gives."""
         return {name: value for name in PROJECTED if (value := getattr(self, name)) is not None}
@@ -236,6 +241,10 @@ class FullMultigrid(Multigrid):
     start: Annotated[
         NestedStart, partial(checks.instance, types=NestedStart, words="a NestedStart")
     ] = field(default_factory=NestedStart)
+
+    @property
+    def reads_coarse_starts(self) -> bool:
+        return True  # the nested start carries the change of a step from level to level
 
     def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
         if start is not None:

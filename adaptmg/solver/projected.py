@@ -205,6 +205,9 @@ class SingleGrid(checks.Checked):
     #: 10 387 sweeps of five random problems are 10 264 with half and 10 504 with twice
     CHECK_SHARE: ClassVar[float] = 0.1
 
+    #: there is only one grid
+    reads_coarse_starts: ClassVar[bool] = False
+
     omega: Omega = 1.0
     condensed: checks.Flag = False
     stop: Literal["error", "change"] = "error"

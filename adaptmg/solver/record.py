@@ -175,7 +175,10 @@ class Outcome:
 
 
 class Solver(Protocol):
-    """The protocol of a solver in :func:`adaptmg.solve`."""
+    """The protocol of a solver in :func:`adaptmg.solve`.
+
+    It may have ``reads_coarse_starts``: False where load steps after the first one need no displacements
+    of coarse levels, which are then not found (default True)."""
 
     # Any: the solver of a user may name am.Hierarchy, which adds constructors to Grids
     def run(self, hierarchy: Any, run: Run, start: np.ndarray | None) -> Outcome:
