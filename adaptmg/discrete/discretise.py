@@ -149,10 +149,7 @@ def _initial_strain_parts(posed: Posed, volumes: Volumes) -> dict[str, Any]:
     mesh = posed.mesh
     strains = [load for load in problem.loads if isinstance(load, InitialStrain)]
     if not strains:
-        return {
-            "strain_free": None,
-            "volumes": replace(volumes, expansion=0.0) if len(volumes) else volumes,
-        }
+        return {"strain_free": None, "volumes": replace(volumes, expansion=0.0)}
     data = StressData.of(mesh, posed.materials, strains, problem.elements)
     return {
         "strain_free": EnergyTerms(

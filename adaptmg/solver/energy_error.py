@@ -243,17 +243,14 @@ class _Preconditioner:
         of_held = (axes / stiffness[:, None]) @ axes.swapaxes(1, 2)
         self._inverse.reshape(-1, dim, dim)[status.held] = of_held
 
-    def __call__(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the preconditioned residual (n_dofs,), and the stored matrix times it."""
-        result = np.empty_like(residual)
-        # the residual after the forward sweep; after the backward sweep the product
-        image = np.zeros_like(residual)
+    def __call__(self, residual: np.ndarray, result: np.ndarray, image: np.ndarray) -> None:
+        """Write the preconditioned residual (n_dofs,) to ``result``, and the stored matrix times it to
+        ``image``, which comes as 0. Between the sweeps that is the residual after the first one."""
         arguments = self._zero, *self._matrix, self._inverse, residual, result, image
         self._strips.sweep(_forward, *arguments)
         self._coarse.add(image, result)
         image[:] = 0.0
         self._strips.sweep(_backward, *arguments, backward=True)
-        return result, image
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,34 +337,33 @@ class _Equations:
         directions, that of their values with the gradient (K' z + S z, A/kappa q)."""
         status = self.status
         shape = -1, status.projections.shape[1]
-        z, forces = self.precondition(residual[: self.n])  # z and K' z
+        values = np.empty_like(residual)  # z, and q
+        image = np.zeros_like(residual)
+        z = values[: self.n]
+        forces = image[: self.n]  # K' z, completed in place
+        self.precondition(residual[: self.n], z, forces)
         z_at_contact = z.reshape(shape)[status.nodes]
         forces_at_contact = forces.reshape(shape)[status.nodes]
         forces.reshape(shape)[status.nodes] += np.einsum(
             "nij,nj->ni", status.stiffening, z_at_contact
         )
-        values = z
-        image = forces  # completed in place
         gradient = None
-        pressure_rows = None
         if len(self.volumes):
             areas = self.volumes.areas
             soft = areas * self.volumes.compliance  # A/kappa
             strains = self.volumes.rows @ z  # B z
             # (rho + B z) / (A/kappa + A/(lambda_1 + mu))
             q = (residual[self.n :] + strains) / (soft + areas / self.volumes.modulus)
-            values = np.append(z, q)
+            values[self.n :] = q
             gradient = np.append(forces, soft * q)
             of_pressures = self.volumes.forces(q)
-            image += of_pressures
+            forces += of_pressures
             forces_at_contact += of_pressures.reshape(shape)[status.nodes]
-            pressure_rows = soft * q - strains
-        by_node = image.reshape(shape)
+            image[self.n :] = soft * q - strains
+        by_node = forces.reshape(shape)
         drag = np.einsum("nij,nj->ni", status.dragged, forces_at_contact)
         by_node[status.nodes] += drag
         status.project(by_node)
-        if pressure_rows is not None:
-            image = np.append(image, pressure_rows)
 
         def energy_product(other: _Direction) -> float:
             if gradient is not None:

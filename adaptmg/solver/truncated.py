@@ -78,6 +78,9 @@ class TruncatedTest(StopTest):
         then it is 0, which no estimate meets."""
         super().__init__(0.0 if isinstance(rtol, str) else rtol, limit, run.shortfall)
         self.method = method
+        problem = method.problem
+        price = self.PRICE * problem.n_dofs ** (2 - 3 / max(problem.dim, 2))
+        self._cycles_before_stalling = max(2 * self.WINDOW, min(price, 0.5 * limit))
         self.residuals: list[float] = []
         self._first_residual = np.nan
 
@@ -116,10 +119,7 @@ class TruncatedTest(StopTest):
         """Return whether, as fast as the last cycles went, the tolerance is not reached in the
         cycles that are left. (The last ratio alone says nothing: recombined corrections fall
         unevenly.)"""
-        problem = self.method.problem
-        price = self.PRICE * problem.n_dofs ** (2 - 3 / max(problem.dim, 2))
-        least = max(2 * self.WINDOW, min(price, 0.5 * self.limit))
-        if self.cycles < least or not (self.rtol > 0 and self.size > 0):
+        if self.cycles < self._cycles_before_stalling or not (self.rtol > 0 and self.size > 0):
             return False
         before = max(self.residuals[-1 - self.WINDOW], np.finfo(float).tiny)
         rate = (max(self.residual, np.finfo(float).tiny) / before) ** (1 / self.WINDOW)
@@ -408,10 +408,11 @@ class TruncatedRun:
         # what is prolonged is the change since the last load step, or else the whole solution with a
         # share of its change since the level below
         change, pressures = coarse.parts(solutions[-1])
-        displacement = np.zeros(fine.n_dofs)
+        start = np.zeros(fine.n_unknowns)
+        displacement, prolonged = fine.parts(start)
         extrapolated_share = self._extrapolation(number - 1)
         if past is not None:
-            displacement = past[number].copy()
+            displacement[:] = past[number]
             change = change - past[number - 1]
         elif extrapolated_share > 0:
             prolonged_before = np.zeros(coarse.n_dofs)
@@ -419,11 +420,9 @@ class TruncatedRun:
             self.cycle.levels[number - 1].prolong(coarser_solution, prolonged_before)
             change = change + extrapolated_share * (change - prolonged_before)
         fine_level.prolong(change, displacement)
-        pressures = prolonged_pressures(coarse, fine, fine_level.prolongation, pressures)
+        prolonged[:] = prolonged_pressures(coarse, fine, fine_level.prolongation, pressures)
         # admissible at fixed dofs
-        whole = np.append(displacement, pressures) if len(pressures) else displacement
-        start = fine.from_prescribed(whole)
-        return [*solutions, fine.with_prescribed(start)]
+        return [*solutions, fine.with_prescribed(fine.from_prescribed(start))]
 
     def _extrapolation(self, number: int) -> float:
         """Return the share of its change to level ``number`` by which the solution will change on the
