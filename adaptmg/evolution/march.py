@@ -249,7 +249,8 @@ def _time_step_grids(grids: Grids, dynamics: Dynamics) -> Grids:
 
 class March:
     """The time steps of a problem, on a hierarchy with the matrices of a step. Displacement, m,
-    velocity, m/s, and internal forces K u, N, all (n_nodes, dim), are those after the last step."""
+    velocity, m/s, and internal forces K u, N, all (n_nodes, dim), are those after the last step.
+    ``choice`` is the reason for the solver, if it is the default one."""
 
     def __init__(
         self,

@@ -84,7 +84,9 @@ class PathLoop:
             np.zeros(level.discrete.n_dofs)
             for level in grids.levels[0 if grids.discretised else -1 :]
         ]
+        #: the same after the step before, for extrapolation
         self.displacements_before = self.displacements
+        #: displacements of coarse levels that the store keeps with the last step, None if it keeps none
         self.coarse: list[np.ndarray] | None = None
         #: whether the path goes on from a result under the loads of its first step
         self.continued = False

@@ -68,7 +68,8 @@ _SMALLEST = 1 / 64  # part of a load step
 
 
 class PlasticLoop(PathLoop):
-    """The steps of a path of plastic bodies."""
+    """The steps of a path of plastic bodies; ``state`` (n_patches, n) is theirs after the last step, or
+    the last part of it that is solved."""
 
     def __init__(self, grids: Grids, path: LoadPath, solver: Solver) -> None:
         self.share = 1.0  # of the change of the factors in a step; super() asks for factors
@@ -184,7 +185,8 @@ def _state_of(result: Result) -> np.ndarray:
 
 
 class _Newton:
-    """Newton's method for a load step."""
+    """Newton's method for a load step, from the ``state`` (n_patches, n) before it; ``cycles`` are those of
+    all its contact problems."""
 
     def __init__(self, loop: PlasticLoop, grids: Grids, run: Run) -> None:
         self.plastic = loop.plastic

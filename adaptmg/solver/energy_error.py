@@ -317,7 +317,8 @@ class _Direction:
 
 
 class _Equations:
-    """The equations of a status; the signs of those of volumes make them positive."""
+    """The equations of a status, in ``n`` displacements and the pressures; the signs of those of volumes
+    make them positive. At ``most`` so many steps are taken."""
 
     def __init__(
         self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates

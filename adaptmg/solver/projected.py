@@ -248,6 +248,7 @@ class SingleGrid(checks.Checked):
         smoother = ProjectedGaussSeidel(omega=self.omega)
 
         def smooth(unknowns: np.ndarray, done: int) -> int:
+            """Sweep in place, after ``done`` sweeps, until the next check; return the number of sweeps."""
             # with stop="change" each sweep is judged
             sweeps_to_check = max(self.FIRST_CHECK, int(self.CHECK_SHARE * done))
             sweeps = min(sweeps_to_check, self.max_sweeps - done) if self.stop == "error" else 1
