@@ -134,6 +134,7 @@ def adapt(
         mesh begins with the state of the mesh before (:func:`adaptmg.transfer_state`), and its first load
         step repeats the load reached. The mesh stays where the estimate meets ``tolerance``, or where
         the engine makes no other one; Remesh keeps about ``max_nodes``. Steps end with the path.
+        With plastic bodies no change should fall on a step after which the load turns.
     progress : callable or bool, optional
         Called with a dict before each phase of a step, and after it: step, phase, nodes, estimate
         (of the step before), seconds. True: write lines to standard error.

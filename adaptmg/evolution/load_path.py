@@ -20,7 +20,7 @@ from adaptmg._text import html_table, in_html_lines, say, shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg._units import in_units
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.evolution.path_loop import PathLoop, slip_lengths
+from adaptmg.evolution.path_loop import PathLoop
 from adaptmg.evolution.plastic import PlasticLoop
 from adaptmg.grids import Grids
 from adaptmg.problem.contact_problem import for_problem
@@ -162,10 +162,11 @@ class PathResult(Sequence[Result]):
         """Return how far each contact node has slipped so far (n_steps, n_contact), m; back and
         forth add up.
 
-        The sum of ``|slip|`` over the steps after which it is in contact.
+        The sum of ``|slip|`` over the steps after which it is in contact, those before the
+        ``start`` of a path among them: the slip that :class:`adaptmg.StateLaw` sees.
         """
-        lengths = [slip_lengths(result) for result in self.results]
-        return np.cumsum(lengths, axis=0) if lengths else np.zeros((0, 0))
+        paths = [result.contact.accumulated_slip for result in self.results]
+        return np.array(paths) if paths else np.zeros((0, 0))
 
     @property
     def dissipation(self) -> np.ndarray:

@@ -45,7 +45,6 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import supported_nodes
 from adaptmg.evolution.load_steps import Past, step_outcome
-from adaptmg.evolution.path_loop import slip_lengths
 from adaptmg.grids import Grids
 from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.dynamics import Dynamics
@@ -111,7 +110,8 @@ def march(
         motion, so that FullMultigrid goes on as a Multigrid.
     start : (n_nodes, dim) array or Result, optional
         Displacement at time 0, m; default 0. Under weight, that of ``am.solve(grids)`` begins at
-        rest.
+        rest. A step of another march is refused, as its velocity would be lost: ``store`` lets a
+        march go on.
     rtol : float, optional
         Tolerance of the default method, where none is given; default as of :func:`adaptmg.solve`.
         The error is relative to the displacement in the norm of the matrix of a time step, of
@@ -286,6 +286,11 @@ class March:
         #: the energy lost so far by cause, N m, and the lengths of the slips so far (n_contact,), m
         self.lost_energies = {"friction": 0.0, "contact": 0.0, "damping": 0.0}
         self.accumulated_slip = self.discrete.contact.accumulated_slip
+        if isinstance(start, Result) and start.velocity.size:
+            raise ValueError(
+                "start must be at rest, got a step of a march, which has a velocity: let that march go "
+                "on by store= and a later end, or give start=result.displacement and initial_velocity"
+            )
         first = displacement_argument("start", start, self.discrete)
         relative = np.zeros(mesh.points.shape) if first is None else first
         self.displacement = self._with_prescribed(relative, share=1.0)
@@ -418,7 +423,7 @@ class March:
         self.velocity = result.velocity
         self.internal = self._internal(result.displacement)
         self.lost_energies = {cause: result.energies[cause] for cause in self.lost_energies}
-        self.accumulated_slip = self.accumulated_slip + slip_lengths(result)
+        self.accumulated_slip = result.contact.accumulated_slip
 
     def _posed(self, admissible: np.ndarray, shift: np.ndarray) -> Grids:
         """Return the hierarchy with the problem of a step from the displacement u_p (``admissible``

@@ -43,12 +43,6 @@ from adaptmg.solver.truncated import TruncatedRun
 _LOG = logging.getLogger(__name__)
 
 
-def slip_lengths(result: Result) -> np.ndarray:
-    """Return the lengths of the slips of a step (n_contact,), m, at nodes that it leaves in
-    contact."""
-    return np.linalg.norm(result.contact.slip, axis=1) * result.contact.closed
-
-
 class PathLoop:
     """The steps of a load path, and what each step needs of the steps before it."""
 

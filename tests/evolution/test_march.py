@@ -300,6 +300,10 @@ def test_what_does_not_move_is_refused():
         am.march(grids, am.LoadPath())
     with pytest.raises(ValueError, match=r"overlap by 0.5 m .*am\.solve"):
         am.march(grids, dynamics, start=np.tile((0.0, -5.5), (22, 1)))
+    step = next(am.march(grids, dynamics))
+    with pytest.raises(ValueError, match=r"start must be at rest, got a step of a march"):
+        am.march(grids, dynamics, start=step)
+    next(am.march(grids, dynamics, start=step.displacement))
     for changes in ({"density": 0.0}, {"step": -1.0}, {"end": 0.01}, {"damping": np.nan}):
         with pytest.raises(ValueError, match=next(iter(changes))):
             replace(dynamics, **changes)

@@ -204,17 +204,18 @@ def test_what_has_no_friction_touches_and_does_not_slip():
     assert re.search(r"\d+ open, \d+ slip, \d+ stick", str(solved()[1]))
 
 
-def test_the_way_slipped_adds_up_where_the_load_turns():
-    steps = am.solve_path(
-        solved()[0].truncated(finest=1),
-        am.LoadPath({"left": [0.2, 1.0, 0.0], "top": 1.0}),
-        am.FullMultigrid(rtol=1e-10),
-    )
+def test_the_way_slipped_adds_up_where_the_load_turns_and_a_path_goes_on():
+    grids = solved()[0].truncated(finest=1)
+    solver = am.FullMultigrid(rtol=1e-10)
+    steps = am.solve_path(grids, am.LoadPath({"left": [0.2, 1.0, 0.0], "top": 1.0}), solver)
     slips = np.array(
         [np.where(one.contact.state == am.OPEN, 0.0, one.contact.slip[:, 0]) for one in steps]
     )
     ways = steps.slip_path()
-    np.testing.assert_allclose(ways, np.abs(slips).cumsum(axis=0), rtol=1e-15)
+    np.testing.assert_allclose(ways, np.abs(slips).cumsum(axis=0), rtol=1e-14)
+    rest = am.LoadPath({"left": [1.0, 0.0], "top": 1.0})
+    later = am.solve_path(grids, rest, solver, start=steps[1])
+    np.testing.assert_allclose(later.slip_path(), ways[1:], atol=1e-8 * ways.max())
     assert (ways[-1] > np.abs(slips.sum(axis=0)) + 1e-9).any()
     assert steps.table()["slip_path [m]"].iloc[-1] == ways[-1].max()
 
