@@ -309,8 +309,9 @@ def facet_elements(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
     """Return the elements (n,) that some boundary facets (n, dim) belong to."""
     if not len(facets):
         return np.empty(0, dtype=np.int64)
-    on = mask_of(facets, mesh.n_nodes)
-    near = np.flatnonzero(on[mesh.elements].sum(axis=1) >= mesh.dim)
+    on_facets = mask_of(facets, mesh.n_nodes)
+    # only these have as many nodes on them as a facet
+    near = np.flatnonzero(on_facets[mesh.elements].sum(axis=1) >= mesh.dim)
     table = facet_table(mesh.elements[near], mesh.n_nodes)
     return near[table.first[table.find(facet_keys(facets, mesh.n_nodes))]]
 

@@ -312,6 +312,7 @@ def scaled(largest: float, unit: str) -> tuple[float, str]:
         return converted(unit)
     if not (np.isfinite(largest) and largest > 0):
         return 1.0, unit
+    # what rounds to 1 of a unit counts
     reached = (entry for entry in _PREFIXES if largest >= 0.9999 * entry[0])
     size, prefix = next(reached, _PREFIXES[-1])
     return 1.0 / size, prefix + unit
