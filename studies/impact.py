@@ -124,7 +124,7 @@ def ball(out: Output) -> None:
     )
     sizes = [{"ball": 3e-3 / n, "beam": 2e-3 / n} for n in ((0.5, 1) if out.quick else (1, 2))]
     grids = am.Hierarchy.graded(problem, sizes, contact_ratio=2)
-    last = 1e-3 if out.quick else 3e-3
+    last = 2e-4 if out.quick else 3e-3
     flying = {"ball": (0.0, -8.0)}
     dynamics = am.Dynamics(density=1200.0, initial_velocity=flying, step=1e-5, end=last)
     figure, axes = plt.subplots(2, 1, figsize=(7.2, 4.4), height_ratios=(3, 2))
