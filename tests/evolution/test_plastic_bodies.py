@@ -439,8 +439,6 @@ def test_what_plastic_bodies_refuse(punch):
             replace(punch.problem, **changed)
     with pytest.raises(ValueError, match="Hierarchy of the ContactProblem"):
         am.solve(punch.finest.discrete)
-    with pytest.raises(ValueError, match="start must be None"):
-        am.solve(punch, start=np.zeros((punch.finest.n_nodes, 2)))
     with pytest.raises(ValueError, match="need a load_path"):
         am.adapt(punch.problem, start=8e-3)
     with pytest.raises(ValueError, match="march has no"):

@@ -336,20 +336,6 @@ def test_each_load_on_a_face_has_its_own_factor(dim):
         )
 
 
-def test_supports_that_part_are_refused():
-    problem = replace(
-        pulled().problem,
-        supports=(
-            am.Support("top", x=1e-6, y=-1e-5, name="lid"),
-            am.Support("left", x=1e-6, name="side"),
-        ),
-    )
-    grids = am.Hierarchy.uniform(problem, divisions=[(4, 2), (8, 4)])
-    am.solve_path(grids, am.LoadPath({"lid": [1, 2], "side": [1, 2]}))
-    with pytest.raises(ValueError, match="'lid' and 'side' prescribe different displacements"):
-        am.solve_path(grids, am.LoadPath({"lid": [1, 2], "side": [1, 1]}))
-
-
 def test_rigid_motion_in_a_step_is_named_before_any_is_solved(rough):
     solved = []
     with pytest.raises(ValueError, match=r"step 1 of 2 \(top=-1, left=1\): .*translation along y"):

@@ -194,8 +194,6 @@ def test_what_a_method_must_offer(bar):
         method.setup = setup
         with pytest.raises(error_type, match=words):
             am.solve(bar, method)
-    with pytest.raises(TypeError, match="unknowns"):
-        am.State(unknowns="nothing")
     spaces = am.Hierarchy.algebraic(bar.finest.discrete, max_coarse=60)
     with pytest.raises(ValueError, match="only spaces"):
         am.solve(spaces, Sweeps())
