@@ -329,16 +329,17 @@ class _Newton:
         part = 1.0
         last_end = -1
         for _ in range(_TRIALS):
-            displacement = self.response.displacement + part * direction
+            tried = part
+            displacement = self.response.displacement + tried * direction
             response = self.plastic.respond(self.problem, displacement, self.state)
             new_slope = slope(response)
             end = int(new_slope > 0)  # the end of the interval that is replaced
-            if abs(new_slope) <= small or (part == 1.0 and not end):
+            if abs(new_slope) <= small or (tried == 1.0 and not end):
                 break
             if end == last_end:
                 slopes[1 - end] *= 0.5
             last_end = end
-            ends[end] = part
+            ends[end] = tried
             slopes[end] = new_slope
             part = ends[0] - slopes[0] * (ends[1] - ends[0]) / (slopes[1] - slopes[0])
-        return response, part
+        return response, tried
