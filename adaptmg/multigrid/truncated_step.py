@@ -532,10 +532,11 @@ class TruncatedStep:
         )
         return float(np.sqrt(max(square, 0.0)))
 
-    def rounding(self, unknowns: np.ndarray) -> float:
-        """Return the norm of D u, N, of unknowns (n_dofs,); no residual falls below this times the unit of
-        rounding. The sweeps store only the inverses of diagonal blocks: D is the reciprocal of their
-        diagonals, at most the diagonal of the matrix."""
+    def rounding(self, state: TruncatedState) -> float:
+        """Return the norm of D u, N, of the displacement of a state; no residual falls below this times
+        the unit of rounding (:class:`~adaptmg.solver.iterate.Measured`). The sweeps store only the
+        inverses of diagonal blocks: D is the reciprocal of their diagonals, at most the diagonal of the
+        matrix."""
         matrix = self.matrix
         matrix.complete()
         square = sum_of_parts(
@@ -545,7 +546,7 @@ class TruncatedStep:
             ZERO[matrix.dim],
             matrix.kinds,
             matrix.inverse,
-            unknowns,
+            self.displacement(state),
         )
         return float(np.sqrt(square))
 

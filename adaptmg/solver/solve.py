@@ -144,11 +144,11 @@ def solve(
     with run.phase("statics"):
         check_statics_of(grids)
     with run.phase("setup"):
-        bodies = free_bodies(grids.posed, discrete)
+        bodies = free_bodies(posed, discrete)
         examiner = Examiner(discrete, bodies)
         run.examiner = examiner
         warn_of_several_solutions(grids)
-        advise_on_problem(grids.posed)
+        advise_on_problem(posed)
     outcome = checked_outcome(solver.run(grids, run, first), solver, discrete)
     if run.fallback and isinstance(solver, FinestFirst):
         grids = posed_grids  # multigrid took over on all levels

@@ -103,7 +103,7 @@ class TruncatedTest(StopTest):
 
     def at_rest(self) -> bool:
         """Return whether the last residual is as small as arithmetic allows."""
-        return self.residual_is_rounding(self.method.rounding(self.state))
+        return self.residual_is_rounding(self.method.parts.rounding(self.state))
 
     @property
     def residual_met(self) -> bool:
@@ -262,7 +262,7 @@ class TruncatedCycles:
         # exact start is recognised by rounding alone; and where supports that move bodies may exert
         # no force at all. Later the test asks for it when the residual is small.
         early = state.cycles < 2
-        floor = self.rounding(state) if early or sizes.prescribed else 0.0
+        floor = self.parts.rounding(state) if early or sizes.prescribed else 0.0
         idle = sizes.nothing_strains(state.reactions, ROUNDING * floor, unknowns)
         if self.run.reference is not None:
             error = unknowns - self.problem.from_prescribed(self.run.reference)
@@ -278,10 +278,6 @@ class TruncatedCycles:
             from_start=state.from_start,
             columns=columns,
         )
-
-    def rounding(self, state: TruncatedState) -> float:
-        """Return the norm of D u; see :class:`~adaptmg.solver.iterate.Measured`."""
-        return self.parts.rounding(self.parts.displacement(state))
 
     def set_aside(self, state: TruncatedState) -> TruncatedState:
         """Free what only further steps read, if it is much: half of the matrix, which is made again
