@@ -345,7 +345,15 @@ class Posed(Boundaries):
         nodes; they take over the conditions of their images on periodic sides."""
         if self.originals is None:
             return self._carrying(k, excluded, self.untied)
-        images = self._images(k, self.originals)
+        tied = np.concatenate(
+            [
+                part.nodes
+                for tie, part in zip(self.problem.ties, self.ties, strict=True)
+                if isinstance(tie, Periodic)
+            ]
+        )
+        surface = self.surfaces[self.problem.contact_boundaries[k]].nodes
+        images = self.images(tied[self.owner[tied] == k], surface, self.untied == k)
         while True:  # with fewer images each time
             owner = self.untied.copy()
             owner[images] = k
@@ -355,27 +363,6 @@ class Posed(Boundaries):
                 return with_images(interface, images, self.originals)
             # where a node carries no condition the neighbours of its images take over their parts
             images = images[carries]
-
-    def _images(self, k: int, originals: np.ndarray) -> np.ndarray:
-        """Return the nodes (n,) tied by periodic sides that are images, by ``originals`` (n_nodes,), of nodes
-        which may carry the condition of contact boundary k; supports hold the same axes of both."""
-        ties = [
-            part.nodes
-            for tie, part in zip(self.problem.ties, self.ties, strict=True)
-            if isinstance(tie, Periodic)
-        ]
-        nodes = np.concatenate(ties)
-        original = originals[nodes]
-        on_surface = self.surfaces[self.problem.contact_boundaries[k]].nodes
-        inclined = self.inclined.nodes
-        return nodes[
-            (self.owner[nodes] == k)
-            & (self.untied[original] == k)
-            & np.isin(original, on_surface)
-            & (self.fixed[nodes] == self.fixed[original]).all(axis=1)
-            & ~np.isin(nodes, inclined)
-            & ~np.isin(original, inclined)
-        ]
 
     def _carrying(self, k: int, excluded: np.ndarray, owner: np.ndarray) -> MortarInterface:
         """Return the nodes of contact boundary k that carry its condition if their ``owner`` (n_nodes,) is

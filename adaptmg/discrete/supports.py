@@ -431,6 +431,19 @@ class Boundaries:
         """Return the nodes (n_nodes,) of which others are images on periodic sides; None without any."""
         return originals(self.problem, self.mesh, self.surfaces)
 
+    def images(self, nodes: np.ndarray, surface: np.ndarray, carries: np.ndarray) -> np.ndarray:
+        """Return those of ``nodes`` (n,) on periodic sides that are images of nodes on a ``surface`` (k,) which
+        may carry a condition, by the mask ``carries`` (n_nodes,); supports hold the same axes of both."""
+        originals = nodes if self.originals is None else self.originals[nodes]
+        inclined = self.inclined.nodes
+        return nodes[
+            np.isin(originals, surface)
+            & carries[originals]
+            & (self.fixed[nodes] == self.fixed[originals]).all(axis=1)
+            & ~np.isin(nodes, inclined)
+            & ~np.isin(originals, inclined)
+        ]
+
     @cached_property
     def holds(self) -> Sequence[Held]:
         """Return the directions that supports hold, with nodes and values."""

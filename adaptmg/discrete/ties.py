@@ -11,7 +11,9 @@ what a support holds of a slave node the support takes its part.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -20,7 +22,7 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg._text import warn_user
 from adaptmg.discrete.coordinates import Coupling, Unknowns
-from adaptmg.discrete.mortar import MortarInterface, pair_interface
+from adaptmg.discrete.mortar import MortarInterface, pair_interface, with_images
 from adaptmg.discrete.periodic import partners
 from adaptmg.discrete.supports import Boundaries
 from adaptmg.mesh.arrays import Surface
@@ -87,24 +89,48 @@ def tie_interfaces(boundaries: Boundaries) -> list[MortarInterface]:
     held_spans = boundaries.held_spans(np.arange(mesh.n_nodes))
     not_tied = np.einsum("nii->n", held_spans) > mesh.dim - checks.SIX_DIGITS
     parts: list[MortarInterface] = []
+    periodic = np.zeros(mesh.n_nodes, dtype=bool)  # nodes that follow their partners
     for tie in boundaries.problem.ties:
         slave = boundaries.surfaces[tie.slave]
         master = boundaries.surfaces[tie.master]
         if isinstance(tie, Periodic):
             parts.append(_periodic(tie, boundaries, not_tied))
             not_tied[parts[-1].nodes] = True
+            periodic[parts[-1].nodes] = True
             continue
         # a tie is coupled as a pair would be
         pair = ContactPair(tie.slave, tie.master, reach=tie.reach, allow_interference=True)
+        couple = partial(pair_interface, boundaries, pair, (slave, master))
         try:
-            excluded = slave.nodes[not_tied[slave.nodes]]
-            parts.append(pair_interface(boundaries, pair, (slave, master), excluded))
+            parts.append(_tied(boundaries, slave.nodes, couple, not_tied, periodic))
         except ValueError as error:
             raise ValueError(str(error).replace("contact pair", "tie", 1)) from error
         if tie.reach is None:  # a reach says how far apart the surfaces may be
             _warn_of_gaps(tie, slave, np.abs(parts[-1].gaps).max(initial=0.0))
         not_tied[parts[-1].nodes] = True
     return parts
+
+
+def _tied(
+    boundaries: Boundaries,
+    nodes: np.ndarray,
+    couple: Callable[[np.ndarray], MortarInterface],
+    not_tied: np.ndarray,
+    periodic: np.ndarray,
+) -> MortarInterface:
+    """Return the interface that ``couple`` makes of the slave ``nodes`` (n,) of a tie without excluded ones:
+    without those of the mask ``not_tied`` (n_nodes,), but of the mask ``periodic`` those that are images of
+    a tied node, which takes them over."""
+    originals = boundaries.originals
+    if originals is None:
+        return couple(nodes[not_tied[nodes]])
+    images = boundaries.images(nodes[periodic[nodes]], nodes, ~not_tied)
+    while True:  # with fewer images each time
+        interface = couple(np.setdiff1d(nodes[not_tied[nodes]], images))
+        carries = np.isin(originals[images], interface.nodes)
+        if carries.all():
+            return with_images(interface, images, originals)
+        images = images[carries]
 
 
 def _warn_of_gaps(tie: Tied, slave: Surface, apart: float) -> None:

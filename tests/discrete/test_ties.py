@@ -408,6 +408,49 @@ def test_contact_does_not_depend_on_where_a_cell_begins(dim, facing):
         assert not other.certificate().contradictions(1e-8)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_tie_of_unlike_meshes_does_not_depend_on_where_a_cell_begins(dim):
+    """With the coarser side as slave, and a mean strain."""
+
+    def solved(crest):
+        parts = {
+            name: am.Rectangle(width=1, height=0.5, origin=(0, base))
+            if dim == 2
+            else am.Box(width=1, depth=1, height=0.5, origin=(0, 0, base))
+            for name, base in (("low", 0), ("up", 0.5))
+        }
+        sides = (("left", "right"), ("front", "back"))[: dim - 1]
+        problem = am.ContactProblem(
+            domain=am.Assembly(parts=parts),
+            material=(am.Solid if dim == 3 else am.PlaneStrain)(young=E, poisson=NU),
+            ties=[
+                *(
+                    am.Periodic(f"{name}.{a}", f"{name}.{b}", jump=np.eye(dim)[k] * 1e-4)
+                    for name in parts
+                    for k, (a, b) in enumerate(sides)
+                ),
+                am.Tied("up.bottom", "low.top"),
+            ],
+            loads=[
+                am.Traction(
+                    "up.top",
+                    (lambda x: 1e4 * np.cos(2 * np.pi * (x[:, 0] - crest)),) + (0,) * (dim - 1),
+                ),
+                am.Pressure("up.top", lambda x: 1e4 * np.sin(2 * np.pi * (x[:, 0] - crest))),
+            ],
+            supports=[
+                am.Support("low.bottom", **{"xyz"[dim - 1]: 0.0}),
+                am.PointSupport([0] * dim, **dict.fromkeys("xyz"[: dim - 1], 0.0)),
+            ],
+        )
+        divisions = {"low": (8,) * (dim - 1) + (2,), "up": (4,) * (dim - 1) + (2,)}
+        return am.solve(am.Hierarchy.uniform(problem, [divisions]), am.ActiveSet(rtol=1e-10))
+
+    moved = solved(0.25)
+    assert moved.energy == pytest.approx(solved(0.0).energy, rel=1e-8)
+    assert not moved.certificate().contradictions(1e-8)
+
+
 test_refused = refused(
     (
         lambda: cell(2, ties=am.Periodic("left", "right", jump=(1, 2, 3))),
