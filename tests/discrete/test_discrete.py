@@ -68,11 +68,6 @@ def test_wrong_contact_nodes_are_refused(changes, error, message):
         contact(**changes)
 
 
-class Negative(am.Frictionless):
-    def bounds(self, n_contact):
-        return np.zeros(n_contact), np.full(n_contact, -1.0)
-
-
 def test_what_a_problem_makes_of_its_arrays():
     points, own = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.ones((6, 1))
     fixed = np.array([True, False, True, False, False, False])  # a fixed tangent is fine
@@ -105,7 +100,6 @@ def test_what_a_problem_makes_of_its_arrays():
         ),
         ({"law": am.Coulomb(np.ones(3))}, ValueError, "array over the 2 contact nodes"),
         ({"law": am.Tresca(lambda x: x[:, 0])}, TypeError, "evaluated at the nodes first"),
-        ({"law": Negative()}, ValueError, "nodal friction must be finite and >= 0"),
         (
             {"contact": contact(nodes=[0, 3])},
             ValueError,
