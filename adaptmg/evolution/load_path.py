@@ -20,7 +20,7 @@ from adaptmg._text import html_table, in_html_lines, say, shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg._units import in_units
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.evolution.path_loop import PathLoop
+from adaptmg.evolution.path_loop import PathLoop, is_on
 from adaptmg.evolution.plastic import PlasticLoop
 from adaptmg.grids import Grids
 from adaptmg.problem.contact_problem import for_problem
@@ -427,7 +427,7 @@ def _check_start(loop: PathLoop, start: Result) -> tuple[np.ndarray, ...]:
     mesh = finest.mesh
     same_mesh = start.displacement.shape == (finest.n_nodes, finest.discrete.dim)
     if same_mesh and mesh is not None and start.mesh is not None:
-        same_mesh = np.array_equal(start.mesh.points, mesh.points)
+        same_mesh = is_on(start, mesh)
     if not same_mesh:
         raise ValueError(
             f"start must be on the finest mesh, which has {finest.n_nodes} nodes, got a result on "

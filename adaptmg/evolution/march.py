@@ -45,6 +45,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import supported_nodes
 from adaptmg.evolution.load_steps import Past, step_outcome
+from adaptmg.evolution.path_loop import is_on
 from adaptmg.grids import Grids
 from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.dynamics import Dynamics
@@ -290,6 +291,11 @@ class March:
             raise ValueError(
                 "start must be at rest, got a step of a march, which has a velocity: let that march go "
                 "on by store= and a later end, or give start=result.displacement and initial_velocity"
+            )
+        if isinstance(start, Result) and start.mesh is not None and not is_on(start, mesh):
+            raise ValueError(
+                f"start must be on the finest mesh, which has {mesh.n_nodes} nodes, got a result on "
+                f"another mesh of {len(start.displacement)}: carry it over by am.transfer_state"
             )
         first = displacement_argument("start", start, self.discrete)
         relative = np.zeros(mesh.points.shape) if first is None else first

@@ -28,6 +28,7 @@ from adaptmg.evolution.load_steps import (
 )
 from adaptmg.grids import Grids
 from adaptmg.level import Level
+from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.multigrid.truncated_contact import with_fields
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.closed_forms import free_bodies
@@ -41,6 +42,16 @@ from adaptmg.solver.statics import check_statics_of
 from adaptmg.solver.truncated import TruncatedRun
 
 _LOG = logging.getLogger(__name__)
+
+
+def is_on(result: Result, mesh: MeshArrays) -> bool:
+    """Return whether a result is on a mesh, with the same numbers of nodes and elements."""
+    own = result.mesh
+    return (
+        own is not None
+        and np.array_equal(own.points, mesh.points)
+        and np.array_equal(own.elements, mesh.elements)
+    )
 
 
 class PathLoop:
@@ -249,6 +260,10 @@ class PathLoop:
     def continue_from(self, start: Result) -> None:
         """Begin at a result under the loads of the first step, which repeats them."""
         self.take_over(0, start, None)
+        # its contact boundaries may be others
+        slips = np.zeros(len(start.displacement))
+        slips[start.contact.node] = start.contact.accumulated_slip
+        self.accumulated_slip = slips[self.grids.finest.discrete.contact.nodes]
         self.continued = True
 
     def _at_rest(self, forces: np.ndarray) -> bool:

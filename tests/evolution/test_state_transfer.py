@@ -125,6 +125,31 @@ def test_slips_next_to_a_held_node_are_those_of_the_contact():
     np.testing.assert_allclose(moved, 0.3, rtol=1e-12)
 
 
+def test_a_start_has_the_elements_of_the_mesh_and_its_slips_belong_to_nodes():
+    """Not to rows of its contact, which may have had other boundaries."""
+    problem = replace(pressed("plane"), law=am.Coulomb(0.1))
+    wall = am.Contact("right", am.Plane((1.0005, 0.0), (-1.0, 0.0)))
+    mesh = blocks("plane", [5])[0]
+    path = am.LoadPath({"press": [0.5, 0.7]})
+    posed = replace(problem, contact=(*problem.contact, wall))
+    grids = am.Hierarchy.from_meshes(posed, [mesh])
+    start = am.solve_path(grids, path, TIGHT)[0]
+    slips = np.zeros(mesh.n_nodes)
+    slips[start.contact.node] = start.contact.accumulated_slip
+    without_wall = am.Hierarchy.from_meshes(problem, [mesh])
+    first = am.solve_path(without_wall, path, TIGHT, start=start)[0].contact
+    assert slips[first.node].max() > 1e-5
+    assert (first.accumulated_slip >= slips[first.node]).all()
+    numbers = np.random.default_rng(0).permutation(len(mesh.elements))
+    other = am.Hierarchy.from_meshes(posed, [replace(mesh, elements=mesh.elements[numbers])])
+    for refused in (
+        lambda: am.solve_path(other, path, TIGHT, start=start),
+        lambda: am.transfer_state(other, start, grids),
+    ):
+        with pytest.raises(ValueError, match="another mesh"):
+            refused()
+
+
 @pytest.mark.parametrize("elements", ["linear", "smoothed"])
 def test_a_path_on_the_same_mesh_goes_on_as_if_nothing_had_happened(elements, tmp_path):
     """Turned, with friction; also from a file, and from a store that was interrupted."""
