@@ -98,7 +98,7 @@ tolerance = number_that("> 0 and < 1, a share of the solution", lambda x: 0 < x 
 
 
 def quantity(name: str, value: object, *, positive: bool = False) -> float:
-    """Return ``value`` as a float of a size that physics may have, below ``VAST``; ``positive``: >
+    """Return ``value`` as a float of a size that physics may have, at most ``VAST``; ``positive``: >
     ``TINIEST`` too."""
     result = _positive(name, value) if positive else number(name, value)
     if not abs(result) <= VAST or (positive and not result >= TINIEST):

@@ -210,7 +210,8 @@ def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
 
 
 def _add_settings(parser: _Parser, command: str) -> None:
-    """Add the case, and an option for each key of the sections of a command."""
+    """Add the case, and an option for each key of the sections of a command; of a key of two sections
+    for the first: --limit is that of Tresca's law, not that of the paper's correction."""
     from adaptmg.cli.build import PURPOSE, sections
 
     parser.add_argument("case", metavar="CASE", help="name of a case, see 'adaptmg cases'")
@@ -221,21 +222,24 @@ def _add_settings(parser: _Parser, command: str) -> None:
         default=[],
         help="an argument of the case, see 'adaptmg cases CASE'; several times",
     )
+    seen = {"case"}
     for section in _SECTIONS[command]:
-        group = parser.add_argument_group(f"{section}: {PURPOSE[section]}".replace("%", "%%"))
+        group = parser.add_argument_group(f"{section}: {PURPOSE[section]}")
         for key, about in sections()[section].items():
+            if key in seen:
+                continue
+            seen.add(key)
             # two keys have a further name
             keys = {"method": ("solver", key), "shape": ("cycle", key)}.get(key, (key,))
             names = [f"--{name.replace('_', '-')}" for name in keys]
-            if key != "case" and not set(names) & set(parser._option_string_actions):
-                default = f", default {about.default}" if about.default else ""
-                group.add_argument(
-                    *names,
-                    dest=f"{section}.{key}",
-                    default=argparse.SUPPRESS,
-                    metavar="VALUE",
-                    help=f"{about.values}{default}".replace("%", "%%"),
-                )
+            default = f", default {about.default}" if about.default else ""
+            group.add_argument(
+                *names,
+                dest=f"{section}.{key}",
+                default=argparse.SUPPRESS,
+                metavar="VALUE",
+                help=f"{about.values}{default}".replace("%", "%%"),
+            )
 
 
 def _settings(parsed: Namespace) -> dict[str, dict[str, object]]:

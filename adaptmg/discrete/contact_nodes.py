@@ -53,7 +53,7 @@ class ContactNodes:
     taken_over : (n_contact, n_nodes) sparse array, optional
         Next to nodes of the boundary without a contact condition: what each contact node takes over
         of their boundary mass, over its own. Its force acts there too, in these proportions.
-        Default none.
+        Default none, kept as (n_contact, 0).
     compliance : (n_contact,) array, optional
         Penetration of the surface over nodal force, m/N. Default 0.
     exponent : (n_contact,) array, optional

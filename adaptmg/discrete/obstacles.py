@@ -6,6 +6,10 @@ directions, the node goes towards the obstacle along :math:`P n / |P n|`, at the
 \cdot \bar u) / |P n|`. Where they hold all of it there is no contact; the motion that they prescribe
 must end before the obstacle. The force of contact is that along
 :math:`P n`: the rest goes into the support, and counts as its reaction.
+
+Node j takes over neighbours i without a condition with the shares :math:`V_{ji} = E_{ji} w_i / w_j` of
+:mod:`adaptmg.discrete.posed`. Its condition is that on the sums :math:`u_j + \sum_i V_{ji} u_i` and
+:math:`g_j + \sum_i V_{ji} g_i`; motions of supports and obstacles are summed likewise.
 """
 
 from __future__ import annotations
@@ -54,9 +58,7 @@ def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInte
     taken = None
     if not movable.all():  # on few meshes
         carries = mask_of(nodes[movable], mesh.n_nodes)
-        # the condition of node j takes over nodes i without one: it has u_j + sum_i V_ji u_i with the shares
-        # V_ji = E_ji w_i/w_j (adaptmg.discrete.posed), and g_j + sum_i V_ji g_i. A coupling W stands for
-        # u - W u, so that here W = -V
+        # a coupling W stands for u - W u: here it is -V
         taken = taken_over(surface, carries, problem.axisymmetric)
         taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[movable]])
         distances = distances + taken[:, nodes] @ gaps
@@ -194,7 +196,8 @@ def moved(
 ) -> DiscreteProblem:
     """Return the problem with obstacles, by the number of their contact, in the places ``now``.
 
-    Slip counts from where they were ``before``.
+    The slip of this step counts from where they were ``before``: their motion since then is added to
+    the slip references.
     """
     contact = discrete.contact
     normals = contact.normals.copy()
@@ -210,7 +213,7 @@ def moved(
             obstacle, boundary, points, boundaries.outward[k]
         )
         place = np.searchsorted(nodes, contact.nodes[rows])
-        # shares of nodes that supports or ties hold, which these nodes take over
+        # V; where no node takes over others it is stored without columns
         taken = contact.taken_over[rows]
         taken = taken[:, nodes] if taken.nnz else sparse.csr_array((len(rows), len(nodes)))
         scaled, distances = along_free(
@@ -230,7 +233,7 @@ def moved(
         normals=normals if are_turned else contact.normals,
         gaps=gaps,
         slip_reference=reference,
-        allow_interference=True,
+        allow_interference=True,  # an obstacle may move into the body, and be pressed out of it
     )
     # what was computed of contact frames stays as long as normals do
     return discrete.restructured(contact=new) if are_turned else discrete.posing(contact=new)

@@ -614,4 +614,6 @@ def recovered_energy(stress: ElementStress, cells: np.ndarray, nodal: np.ndarray
             * stress.of_hoop[:, None]
         )
     plane = mesh.dim == 2 and not stress.axisymmetric
-    return np.einsum("eq,eq->e", weights, stress.compliances.work(difference, difference, plane))
+    return np.einsum(
+        "eq,eq->e", weights, stress.invertible_moduli.work(difference, difference, plane)
+    )

@@ -572,22 +572,22 @@ class Opening:
         The value has the G_j of the solution, which ``contact.gap`` holds. In relative coordinates they are
         G_j = G_0j - n_j . u_j, so that the derivative is -c_j n_j at node j."""
         contact = view.contact
-        posed = view.touching
+        nodes = view.touching
         mesh = view.mesh
-        weights = _slave_weights(view, self.boundary)
+        weights = _slave_weights(view, self.boundary)  # w_j, and 0 on other boundaries
         on_boundary = weights > 0
         if self.point is None:
             name = f"mean opening of {self.boundary!r}"
-            coefficients = weights / np.sum(posed.measures[on_boundary])
+            coefficients = weights / np.sum(nodes.measures[on_boundary])
         else:
             facets = np.concatenate(
                 [
-                    mesh.boundary_facets(posed.names[k])
-                    for k in np.unique(posed.boundary[on_boundary])
+                    mesh.boundary_facets(nodes.names[k])
+                    for k in np.unique(nodes.boundary[on_boundary])
                 ]
             )
             name = f"opening of {self.boundary!r} at {_place(self.point)}"
-            coefficients = self._shape_values(view, facets) * posed.weights / posed.measures
+            coefficients = self._shape_values(view, facets) * nodes.weights / nodes.measures
         vector = np.zeros((view.discrete.n_nodes, mesh.dim))
         vector[contact.nodes] = -coefficients[:, None] * contact.frames[:, 0]  # normals
         return [Functional(name, float(coefficients @ contact.gap), "m", vector.reshape(-1))]

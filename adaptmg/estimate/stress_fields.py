@@ -77,10 +77,11 @@ class ElementStress:
         return _STORED[self.values.shape[1]]
 
     @cached_property
-    def compliances(self) -> Moduli:
-        """Return the moduli whose inverses make energies of stresses; of sheets only the block of the
-        stresses in the plane is right, and the only one that counts. Lame's first constant may be infinite,
-        and is cut off where its inverse no longer counts next to that of the shear modulus."""
+    def invertible_moduli(self) -> Moduli:
+        """Return the moduli C whose inverses make energies of stresses. Lame's first constant may be
+        infinite: it is at most mu / ALIKE, beyond which its inverse changes nothing. Sheets enter as
+        solids with the Lame constant of plane stress: the inverse of the block (xx, yy, xy) of C is then
+        their compliance, while the whole C of a sheet is singular."""
         if self.data.moduli is not None:
             return self.data.moduli
         return isotropic(

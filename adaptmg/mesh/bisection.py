@@ -439,7 +439,7 @@ def _write_children(cells, e, n, corners, p, orders, new_mark, old):
         # both the edge to corner 2, which lies opposite p. Only where the parent has type P_f the new
         # face is marked from p to the edge of corners 0 and 1, which is halved next
         marked = new_mark[child, mark] if plane and flagged else 0
-        # children of type P_u are flagged
+        # children of an element of type P_u are flagged
         cells[row, 2 * corners] = marked + (_FLAG if plane and not flagged else 0)
         # generation and origin
         cells[row, 2 * corners + 1] = old[2 * corners + 1] + 1

@@ -288,8 +288,8 @@ def overlapping_bodies(
 
 def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
     """Return places (n, dim) of the boundary of a body that lie deep inside elements of another, or of
-    itself: nodes, and a point of each facet off its centroid, as in regular meshes both may lie in
-    planes that no element crosses."""
+    itself: nodes, and a point inside each facet, not its centroid: in regular meshes nodes and
+    centroids of one body may all lie in planes between the elements of the other."""
     of_body = mask_of(mesh.elements[mesh.element_body == body], mesh.n_nodes)
     elements = mesh.elements[mesh.element_body == other]
     facets = mesh.facets[of_body[mesh.facets].all(axis=1)]
@@ -301,7 +301,7 @@ def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
     )
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
-    # pairs of an element and a place in the ball around it
+    # pairs of an element and a place in the ball around it; first find the elements that have any
     tree = cKDTree(places)
     corners = mesh.points[elements]
     centre = corners.mean(axis=1)
@@ -314,5 +314,5 @@ def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
     base = corners[element, 0]
     edges = (corners[element, 1:] - base[:, None]).transpose(0, 2, 1)
     weights = np.linalg.solve(edges, (places[place] - base)[:, :, None])[:, :, 0]
-    deep = np.minimum(weights.min(axis=1, initial=1.0), 1 - weights.sum(axis=1)) > _DEEP
+    deep = np.minimum(weights.min(axis=1), 1 - weights.sum(axis=1)) > _DEEP
     return places[np.unique(place[deep])]

@@ -349,7 +349,7 @@ def _face(shape: Shape, number: int, name: str, triangles: np.ndarray = _NONE) -
     kind = "other"
     radius = np.nan
     if surfaces := surfaces_through(shape.samples[number]):
-        surface = surfaces[0]
+        surface = surfaces[0]  # the patches of a face have one surface
         kind = "cone or torus"
         if surface.plane:
             kind = "plane"

@@ -402,7 +402,8 @@ class Interface:
         n = level.n_nodes
         dim = level.dim
         self.dim = dim
-        # L by nodes; its entries are the numbers of its blocks, from 1: zeros are not entries
+        # L by nodes, whose entries are the numbers of its blocks for ``_set_rows``, from 1: zeros are not
+        # entries. Coupled matrices have a row of L for each node (lattices may share rows)
         numbers = np.arange(1, len(level.lower_indices) + 1)
         lower = sparse.csr_array((numbers, level.lower_indices, level.lower_indptr), shape=(n, n))[
             level.strips.rank
@@ -418,6 +419,7 @@ class Interface:
         # fixed components stay where they are, though followers pull at them
         free = ~fixed.reshape(-1, dim)[self.nodes]
         master_blocks = self._master_blocks(place) * (free[:, :, None] & free[:, None, :])
+        # the rows of fixed components are zero
         self.master_inverse = np.linalg.pinv(master_blocks, hermitian=True).reshape(-1)
         self.forward = np.arange(len(self.nodes), dtype=np.int32)
         self.backward = self.forward[::-1].copy()

@@ -29,7 +29,7 @@ _QUANTITIES = {
     "change": "change between checks (relative, energy norm)",
 }
 _AGAINST = {"work_units": "work units", "cycle": "cycle", "seconds": "time [s]"}
-_DASHES = ("-", "--", ":", "-.")
+_DASHES = ("-", "--", ":", "-.", (0, (8, 2)))  # one for each quantity
 
 
 @style.styled

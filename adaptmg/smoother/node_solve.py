@@ -298,7 +298,9 @@ def _slip_held(
 
     c - b x - (limit + friction max(0, p_stick - a x)) x / sqrt(held_slip^2 + x^2)
 
-    between 0 and c / b, by Newton's method inside a bracket."""
+    between 0 and c / b, by Newton's method inside a bracket. ``held_slip`` is the slip along the other
+    tangent, which a support moves, not 0 (without it the bound does not depend on x); c is the
+    tangential force, N, without slip, b > 0 the stiffness, N/m; the pressure is p_stick - a x."""
     low = min(0.0, c / b)
     high = max(0.0, c / b)
     slip = 0.0

@@ -330,7 +330,7 @@ class StopTest:
         rate = self.safe_rate
         if not rate < 1:
             return np.inf
-        # delta_k rho / (1 - rho), relative
+        # delta_k rho / (1 - rho), relative; of a zero displacement no relative error is known
         return self.changes[-1] * rate / (1 - rate) / self.size if self.size > 0 else np.inf
 
     def _ran_away(self) -> bool:

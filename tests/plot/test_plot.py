@@ -382,6 +382,13 @@ def test_history_draws_what_was_recorded():
         BAR, history={k: v for k, v in BAR.history.items() if k != "residual"}
     )
     assert plot.history({"a": BAR, "b": short}).axes[0].get_ylabel().startswith("estimated error")
+    # a solve that ends by its change, with a reference, records all five quantities
+    five = am.solve(
+        am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)),
+        am.Multigrid(correction=am.Monotone(), stop="change"),
+        reference=np.ones((25, 2)),
+    )
+    assert len(plot.history(five).axes[0].get_legend().get_texts()) == 5
 
 
 def test_the_cycle_diagram_climbs_from_level_to_level():
