@@ -303,6 +303,10 @@ def test_what_does_not_move_is_refused():
     with pytest.raises(ValueError, match=r"start must be at rest, got a step of a march"):
         am.march(grids, dynamics, start=step)
     next(am.march(grids, dynamics, start=step.displacement))
+    held = replace(problem, supports=(am.Support("top", x=0.0, y=0.0),))
+    of_as_many_nodes = am.solve(am.Hierarchy.uniform(held, ((10, 1),)))
+    with pytest.raises(ValueError, match="start must be on the finest mesh, which has 22 nodes"):
+        am.march(grids, dynamics, start=of_as_many_nodes)
     for changes in ({"density": 0.0}, {"step": -1.0}, {"end": 0.01}, {"damping": np.nan}):
         with pytest.raises(ValueError, match=next(iter(changes))):
             replace(dynamics, **changes)
