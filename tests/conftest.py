@@ -45,10 +45,11 @@ def pytest_collection() -> Generator[None, object, object]:
     """Collect without looking for garbage, and never look among what has been collected: modules and
     tests stay. A quarter of the time."""
     gc.disable()
-    collected = yield
-    gc.freeze()
-    gc.enable()
-    return collected
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -301,9 +301,9 @@ class Unknowns:
         """Return whether the unknowns are relative to other bodies."""
         return self.coupling is not None and self.coupling.between_bodies
 
-    @cached_property
+    @cached_property  # a solve asks for it a hundred times
     def dim(self) -> int:
-        """Return the space dimension, which a solve asks for a hundred times."""
+        """Return the space dimension."""
         return self.contact.dim
 
     def physical(self, unknowns: np.ndarray) -> np.ndarray:

@@ -131,9 +131,9 @@ class Goal:
     on that mesh, a loop refines all elements alike; it ends where this happens on two meshes in a row.
 
     The signed estimate contains the algebraic error, as far as it leaves the contact state
-    unchanged. It is no bound: it is .4 to 1.3 times the true error of most of 50 loops with known
-    fields, more often below 1. What chords of a round body change in its stiffness is no part of
-    it, so that displacements of a press fit of rings are off by more than they say.
+    unchanged. It is not a bound: it is .4 to 1.3 times the true error of most of 50 loops with known
+    fields, more often below 1. What chords of a round body change in its stiffness is not a part
+    of it, so that displacements of a press fit of rings are off by more than they say.
 
     Steps of :func:`adaptmg.adapt` print "(not settled)" where the corrected value, value plus signed
     estimate, has changed since the mesh before by more than the estimate, or the sign has changed. A

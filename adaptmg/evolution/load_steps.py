@@ -750,8 +750,8 @@ class Search(Generic[Carried]):
                 guide = None
                 continue
             if not by_differences and new_missed_size > 0.9 * missed_size:
-                # hardly a reduction: differences at the same trial replace a Jacobian that was updated. Of .45,
-                # .99 and 1.8 each leaves the cycles of 9 paths with a pressed, tilted punch or a bolt as they are
+                # hardly a reduction: differences at the same trial replace a Jacobian that was updated. With
+                # .45, .99 and 1.8 the cycles of 9 paths with a pressed, tilted punch or a bolt are unchanged
                 jacobian = None
                 continue
             # J + (F(z + d) - F(z) - J d) d' / d'd

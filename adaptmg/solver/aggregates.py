@@ -59,7 +59,7 @@ _SIZE = {1: (64, 4), 2: (64, 4), 3: (80, 3)}
 #: the cost of the coarse matrix. Certificates of blocks with 36k and 118k nodes at two tolerances take 474 ms; with
 #: 200, 100 and 70 aggregates 552, 479 and 512, all with estimates of 1.05 to 1.13 times the error
 _MANY, _LARGE, _MOST = {1: 40_000, 2: 40_000, 3: 24_000}, 100, {1: 3600, 2: 1800, 3: 140}
-#: aggregates of less than one in so many of the nodes they may have join a neighbour
+#: aggregates of fewer nodes than they may have over this divisor join a neighbour
 _REMNANT = 8
 #: what may be missing in the conditions of a changed status: half and twice change none of 119 solves,
 #: paths and loops (campaign constants)

@@ -318,7 +318,7 @@ class _Direction:
 
 class _Equations:
     """The equations of a status, in ``n`` displacements and the pressures; the signs of those of volumes
-    make them positive. At ``most`` so many steps are taken."""
+    make them positive. At most ``most`` steps are taken."""
 
     def __init__(
         self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates
