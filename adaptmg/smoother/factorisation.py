@@ -32,6 +32,8 @@ from scipy.sparse.linalg import SuperLU, splu
 from adaptmg import _checks as checks
 from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
+from adaptmg.smoother.conditions import Linearised
+from adaptmg.smoother.interior_point import ContactDofs, Interior, Span
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system, turn_held
 
 #: dofs up to which factorisations take over where cycles do not converge, by dimension
@@ -325,6 +327,64 @@ class Condensed(Eliminated):
         result = self.complete(self.reduced[0], unknowns)
         rest = self.full.load - self.full.system.matrix @ result
         return result + self.complete(self.reduce(rest)[0], np.zeros_like(unknowns))
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """Return the diagonal (n_contact, dim) of S, N/m."""
+        return self.matrix.diagonal().reshape(-1, self.full.system.dim)
+
+    def contact_residual(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the interior solution (n_dofs,) of a residual r (n_dofs,), which :meth:`newton_change`
+        takes, and the forces (n_contact, dim), r_c - A_ci A_ii^-1 r_i, that are left at the contact
+        nodes with the interior in equilibrium. They decide the status of these nodes."""
+        particular, force = self.reduce(residual)
+        return particular, force.reshape(-1, self.full.system.dim)
+
+    def interior_problem(self) -> tuple[Span, np.ndarray]:
+        """Return the unknowns of the interior point method, the free contact dofs with S as matrix, and
+        their load."""
+        free = ~self.full.system.fixed[self.contact]
+        dofs = ContactDofs(self.matrix, free.reshape(-1, self.full.system.dim))
+        return dofs, self.load[free]
+
+    def from_interior(self, interior: Interior) -> np.ndarray:
+        """Return the unknowns (n_dofs,) of a solution of the interior point method."""
+        return self.recover(interior.values.reshape(-1))
+
+    def newton_change(self, equations: Linearised, particular: np.ndarray) -> np.ndarray:
+        """Return the change (n_dofs,) of a Newton step; ``particular`` is the interior solution of
+        :meth:`contact_residual`. LinAlgError if the equations are singular."""
+        n, dim = equations.force.shape
+        # rows and columns by contact node and component
+        matrix = self.matrix.copy().reshape(n, dim, n, dim)
+        node = np.arange(n)
+        # A_t - mu z A_n + kappa Pi: friction follows the pressure, so that tangential rows take
+        # a part of the normal row
+        for k in range(1, dim):
+            matrix[:, k] -= equations.pull[:, k - 1, None, None] * matrix[:, 0]
+            matrix[node, k, node, 1:] += equations.curvature[:, k - 1]
+        matrix[node, 0, node, 0] += equations.spring  # 1/e of compliant surfaces
+        matrix = matrix.reshape(n * dim, n * dim)
+        # prescribed changes go to the right-hand side
+        change = equations.change.reshape(-1).copy()
+        free = np.flatnonzero(~equations.prescribed.reshape(-1))
+        rhs = equations.force.reshape(-1)[free] - matrix[free] @ change
+        change[free] = _dense_solution(matrix[free[:, None], free], rhs)
+        return self.complete(particular, change)
+
+
+def _dense_solution(matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:
+    """Return the solution (n,) of dense equations; LinAlgError if they are singular."""
+    if not len(rhs):
+        return rhs
+    norm_1 = np.abs(matrix).sum(axis=0).max()
+    factors, pivots, failed = linalg.lapack.dgetrf(matrix)
+    rcond = linalg.lapack.dgecon(factors, norm_1)[0] if not failed else 0.0
+    if not rcond > checks.ROUNDING:
+        raise np.linalg.LinAlgError(
+            f"the condensed equations are singular: reciprocal condition {rcond:.1e}"
+        )
+    return linalg.lapack.dgetrs(factors, pivots, rhs)[0]
 
 
 def condense(local: LocalProblem, lenient: bool = False) -> Condensed:

@@ -14,7 +14,7 @@ from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, cast
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import rotate
@@ -24,7 +24,7 @@ from adaptmg.grids import Grids
 from adaptmg.multigrid.volume_pressures import Augmented
 from adaptmg.smoother.conditions import Linearised, hold_all, linearise
 from adaptmg.smoother.factorisation import Condensed, condense, condense_problem
-from adaptmg.smoother.interior_point import ContactDofs, Interior, Span, interior_point
+from adaptmg.smoother.interior_point import Interior, Span, interior_point
 from adaptmg.smoother.linear import Direct, LinearSolution, LinearSolver, Prepared, solution_of
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.iterate import Measure, Measured, StopTest, iterate
@@ -127,21 +127,28 @@ class ActiveSet(checks.Checked):
                 content = "the dense matrix of the contact nodes (condensed=False does without)"
                 checks.fits("condensed", 24.0 * entries, content)
             with run.phase("factorise" if self.condensed else "setup"):
-                condensed = condense_problem(level.discrete) if self.condensed else None
-                local = local_system(level.discrete) if condensed is None else condensed.full
+                linear = self.equations(level.discrete, run)
             newton = _Newton(
                 options=self,
-                local=local,
+                linear=linear,
                 run=run,
                 level=number,
                 start=start,
-                condensed=condensed,
                 finest=number == finest,
             )
             state, status, stop = newton.solve(certified=number == finest)
-            start = local.to_cartesian(state.unknowns)
+            start = newton.local.to_cartesian(state.unknowns)
         solved = cast("np.ndarray", start).reshape(-1)  # of the last level
         return Outcome(solved, status, state.cycles, self.rtol, stop.error_estimate, stop.rate)
+
+    def equations(
+        self, problem: DiscreteProblem, run: Run, lenient: bool = False
+    ) -> Condensed | SparseEquations:
+        """Return the linear equations of the steps of a problem; ``lenient``: the matrix may be
+        singular."""
+        if self.condensed:
+            return condense_problem(problem, lenient)
+        return SparseEquations(local_system(problem), self.linear, run)
 
     def _augmented(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
         r"""Solve a finest problem with volumes from a start (n_unknowns,), if there is one, by one
@@ -173,17 +180,20 @@ class ActiveSet(checks.Checked):
         for solve in range(Augmented.MOST):
             augmented = Augmented(problem, pressures)
             local = local_system(augmented.problem, local_of_start.system)
-            factors = None if condensed is None else replace(condensed, full=local)
+            linear = (
+                SparseEquations(local, self.linear, run)
+                if condensed is None
+                else replace(condensed, full=local)
+            )
             # before the first solve the start may be a given one, which was solved for another load
             volumes_met = solve > 0 and augmented.missed(cast("np.ndarray", start)) <= self.rtol
             is_last = augmented.exact or volumes_met or solve == Augmented.MOST - 1
             newton = _Newton(
                 options=replace(self, max_steps=self.max_steps - cycles),
-                local=local,
+                linear=linear,
                 run=run,
                 level=finest,
                 start=start,
-                condensed=factors,
                 finest=True,
                 whole=augmented.whole,
             )
@@ -271,31 +281,26 @@ class _Newton:
     def __init__(
         self,
         options: ActiveSet,
-        local: LocalProblem,
+        linear: Condensed | SparseEquations,
         run: Run,
         level: int,
         start: np.ndarray | None,
-        condensed: Condensed | None = None,
         finest: bool = False,
         whole: Callable[[np.ndarray], np.ndarray] = np.asarray,
     ) -> None:
         """Prepare steps from ``start`` (n_dofs,), Cartesian; without it the option ``start`` says where
-        they begin. With ``condensed`` the matrix of a step is that of the contact dofs, else the whole
-        one. ``finest``: the run records the steps. ``whole`` makes a solution (n_unknowns,) of the posed
-        problem from a displacement (n_dofs,)."""
+        they begin. ``linear`` has the equations of a step, on the contact dofs or on all. ``finest``:
+        the run records the steps. ``whole`` makes a solution (n_unknowns,) of the posed problem from a
+        displacement (n_dofs,)."""
         self.options = options
-        self.local = local
+        self.linear = linear
+        self.local = linear.full
         self.run = run
         self.level = level
         self.finest = finest
         self.start = start
-        self._norms = Measure(local, run if finest else None)
+        self._norms = Measure(self.local, run if finest else None)
         self._whole = whole
-        self.linear_steps: SparseSteps | CondensedSteps = (
-            SparseSteps(local, options.linear, run)
-            if condensed is None
-            else CondensedSteps(condensed, run)
-        )
 
     def solve(
         self, certified: bool, test: type[_NewtonTest] = _NewtonTest
@@ -352,7 +357,8 @@ class _Newton:
         status_returns = key in state.past_keys and key != state.last_key
         if not status_returns and state.steps_since_interior < self.LONG:
             try:
-                change = self.linear_steps.solve(state.equations, state.step_data)
+                with self.run.phase("solve"):
+                    change = self.linear.newton_change(state.equations, state.step_data)
             except np.linalg.LinAlgError as error:
                 _LOG.info("step %d: %s", state.cycles, error)
         if change is None:
@@ -378,10 +384,13 @@ class _Newton:
         if not state.tolerances:
             return replace(state, gives_up=Status.CYCLING)
         tolerance, *later_tolerances = state.tolerances
+        with self.run.phase("solve"):
+            span, load = self.linear.interior_problem()
         interior = interior_point(
-            *self.linear_steps.interior_problem(),
+            span,
+            load,
             self.local.contact,
-            self.linear_steps.stiffness,
+            self.linear.stiffness,
             tolerance,
             most=min(self.MOST, self.options.max_steps - state.cycles),
         )
@@ -392,8 +401,10 @@ class _Newton:
             interior.steps,
         )
         self.run.visit(self.level, "solve", interior.steps)
+        with self.run.phase("solve"):
+            unknowns = self.linear.from_interior(interior)
         return _NewtonState(
-            unknowns=self.linear_steps.from_interior(interior),
+            unknowns=unknowns,
             cycles=state.cycles + interior.steps,
             tolerances=tuple(later_tolerances),
         )
@@ -408,101 +419,30 @@ class _Newton:
         contact = self.local.contact
         self.run.count(1.0, system.nonzeros)
         residual = self.local.residual(state.unknowns)
-        step_data, forces = self.linear_steps.contact_residual(residual)
+        with self.run.phase("solve"):
+            step_data, forces = self.linear.contact_residual(residual)
         at_contact = state.unknowns.reshape(-1, system.dim)[system.nodes]
         contact.follow(at_contact, forces)
         equations = (
             hold_all(contact, at_contact, forces)
             if hold
-            else linearise(contact, at_contact, forces, self.linear_steps.stiffness, self.FACTOR)
+            else linearise(contact, at_contact, forces, self.linear.stiffness, self.FACTOR)
         )
         return replace(state, residual=residual, step_data=step_data, equations=equations)
 
 
-class CondensedSteps:
-    """Linear steps on the dense Schur complement; one sparse factorisation serves them all."""
-
-    def __init__(self, condensed: Condensed, run: Run) -> None:
-        self.local = condensed.full
-        self.run = run
-        self.condensed = condensed
-
-    @property
-    def stiffness(self) -> np.ndarray:
-        """Return the diagonal (n_contact, dim) of the matrix that the contact nodes see, N/m."""
-        return self.condensed.matrix.diagonal().reshape(-1, self.local.system.dim)
-
-    def contact_residual(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the interior solution (n_dofs,) of a residual r (n_dofs,), which :meth:`solve` takes,
-        and the forces (n_contact, dim), r_c - A_ci A_ii^-1 r_i, that are left at the contact nodes with
-        the interior in equilibrium. They decide the status of these nodes."""
-        with self.run.phase("solve"):
-            particular, force = self.condensed.reduce(residual)
-        return particular, force.reshape(-1, self.local.system.dim)
-
-    def interior_problem(self) -> tuple[Span, np.ndarray]:
-        """Return the unknowns of the interior point method, the free contact dofs with the Schur
-        complement as matrix, and their load."""
-        free = ~self.local.system.fixed[self.condensed.contact]
-        with self.run.phase("solve"):
-            return (
-                ContactDofs(self.condensed.matrix, free.reshape(-1, self.local.system.dim)),
-                self.condensed.load[free],
-            )
-
-    def from_interior(self, interior: Interior) -> np.ndarray:
-        """Return the unknowns (n_dofs,) of a solution of the interior point method."""
-        with self.run.phase("solve"):
-            return self.condensed.recover(interior.values.reshape(-1))
-
-    def solve(self, equations: Linearised, particular: np.ndarray) -> np.ndarray:
-        """Return the change (n_dofs,) of a Newton step; ``particular`` is the interior solution
-        of :meth:`contact_residual`. LinAlgError if the equations are singular or an iterative linear
-        solver does not converge."""
-        with self.run.phase("solve"):
-            n, dim = equations.force.shape
-            # rows and columns by contact node and component
-            matrix = self.condensed.matrix.copy().reshape(n, dim, n, dim)
-            node = np.arange(n)
-            # A_t - mu z A_n + kappa Pi: friction follows the pressure, so that tangential rows take
-            # a part of the normal row
-            for k in range(1, dim):
-                matrix[:, k] -= equations.pull[:, k - 1, None, None] * matrix[:, 0]
-                matrix[node, k, node, 1:] += equations.curvature[:, k - 1]
-            matrix[node, 0, node, 0] += equations.spring  # 1/e of compliant surfaces
-            matrix = matrix.reshape(n * dim, n * dim)
-            # prescribed changes go to the right-hand side
-            change = equations.change.reshape(-1).copy()
-            free = np.flatnonzero(~equations.prescribed.reshape(-1))
-            rhs = equations.force.reshape(-1)[free] - matrix[free] @ change
-            change[free] = self._dense(matrix[free[:, None], free], rhs)
-            return self.condensed.complete(particular, change)
-
-    def _dense(self, matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:
-        """Return the solution (n,) of dense equations; LinAlgError if they are singular."""
-        if not len(rhs):
-            return rhs
-        norm_1 = np.abs(matrix).sum(axis=0).max()
-        factors, pivots, failed = linalg.lapack.dgetrf(matrix)
-        rcond = linalg.lapack.dgecon(factors, norm_1)[0] if not failed else 0.0
-        if not rcond > checks.ROUNDING:
-            raise np.linalg.LinAlgError(
-                f"the condensed equations are singular: reciprocal condition {rcond:.1e}"
-            )
-        return linalg.lapack.dgetrs(factors, pivots, rhs)[0]
-
-
-class SparseSteps:
-    """Linear steps on the sparse matrix, of which only rows (and eliminated columns) of contact
-    nodes change. All dofs are the unknowns of the interior point method."""
+class SparseEquations:
+    """The linear equations of a problem on its sparse matrix, of which only rows (and eliminated
+    columns) of contact nodes change; :class:`~adaptmg.smoother.factorisation.Condensed` has the same
+    on its contact dofs. All dofs are the unknowns of the interior point method."""
 
     #: relative residual to which an iterative linear solver solves each Newton step, and each interior point step:
     #: 6 random problems take 36 cycles and 3127 work units; 35 and 3434 with half, 37 and 2998 with twice
     RTOL = 1e-2
 
     def __init__(self, local: LocalProblem, linear: LinearSolver, run: Run) -> None:
-        """Prepare steps for a problem in contact frames; ``linear`` solves each."""
-        self.local = local
+        """Prepare the equations of a problem in contact frames; ``linear`` solves them."""
+        self.full = local
         self.linear = linear
         self.run = run
         self._matrix = local.system.matrix
@@ -516,26 +456,26 @@ class SparseSteps:
     @property
     def stiffness(self) -> np.ndarray:
         """Return the diagonal (n_contact, dim) of the matrix at the contact nodes, N/m."""
-        system = self.local.system
+        system = self.full.system
         return self._matrix.diagonal().reshape(-1, system.dim)[system.nodes]
 
     def contact_residual(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residual (n_dofs,), the right-hand side of :meth:`solve`, and its part (n_contact,
+        """Return the residual (n_dofs,), the right-hand side of :meth:`newton_change`, and its part (n_contact,
         dim) at the contact nodes, which decides their status."""
         return residual, self.values(residual)
 
     def interior_problem(self) -> tuple[Span, np.ndarray]:
         """Return the unknowns of the interior point method, all dofs, and their load (n_dofs,)."""
-        return self, self.local.load
+        return self, self.full.load
 
     def from_interior(self, interior: Interior) -> np.ndarray:
         """Return the unknowns (n_dofs,) of a solution of the interior point method."""
         return interior.unknowns
 
-    def solve(self, equations: Linearised, residual: np.ndarray) -> np.ndarray:
+    def newton_change(self, equations: Linearised, residual: np.ndarray) -> np.ndarray:
         """Return the change (n_dofs,) for a residual (n_dofs,); LinAlgError if the equations are
         singular or an iterative linear solver does not converge."""
-        system = self.local.system
+        system = self.full.system
         # the rows of contact nodes have the equations of their status, with force as right side
         prescribed = np.zeros(system.n_dofs, dtype=bool)
         prescribed[self._contact_dofs] = equations.prescribed.reshape(-1)
@@ -561,24 +501,24 @@ class SparseSteps:
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
         """Return A x; this and the next three are those of :class:`Span`, for all dofs."""
-        self.run.count(1.0, self.local.system.nonzeros)
+        self.run.count(1.0, self.full.system.nonzeros)
         return self._matrix @ unknowns
 
     def values(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the entries (n_contact, dim) of a vector (n_dofs,) at the contact nodes."""
-        return unknowns[self._contact_dofs].reshape(-1, self.local.system.dim)
+        return unknowns[self._contact_dofs].reshape(-1, self.full.system.dim)
 
     def restricted(self, forces: np.ndarray) -> np.ndarray:
         """Return forces (n_contact, dim) as a vector (n_dofs,), zero at fixed dofs."""
-        result = np.zeros(self.local.system.n_dofs)
+        result = np.zeros(self.full.system.n_dofs)
         result[self._contact_dofs] = forces.reshape(-1)
-        return np.where(self.local.system.fixed, 0.0, result)
+        return np.where(self.full.system.fixed, 0.0, result)
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
         """Return the solution of equations with A + B as a function of right-hand sides (n_dofs,), B
         with ``blocks`` (n_contact, dim, dim) at contact nodes; None if A + B is singular. The
         preconditioner is made from A + (B + B')/2."""
-        system = self.local.system
+        system = self.full.system
         matrix = self._matrix.copy()
         free = ~system.fixed.reshape(-1, system.dim)[system.nodes]
         # B at free components, added to the diagonal blocks
@@ -594,7 +534,7 @@ class SparseSteps:
             with self.run.phase("factorise" if direct else "setup"):
                 prepared = self.linear.setup(
                     matrix,
-                    local_near_nullspace(self.local),
+                    local_near_nullspace(self.full),
                     symmetric=False,
                     preconditioner=symmetric,
                 )
@@ -606,7 +546,7 @@ class SparseSteps:
         """Return the solution for a right-hand side (n_dofs,) with a prepared matrix; count the passes, and
         log if an iterative solver stops early."""
         solution = solution_of(self.linear, prepared, rhs, rtol)
-        self.run.count(solution.passes, self.local.system.nonzeros)
+        self.run.count(solution.passes, self.full.system.nonzeros)
         if not solution.converged and not isinstance(self.linear, Direct):
             _LOG.warning(
                 "%r stopped after %d iterations at a relative residual of %.1e, not %.0e: take "
@@ -635,7 +575,7 @@ class SparseSteps:
                     self._contact_rows(equations, coupled=False), prescribed, copy=False
                 )
             )
-            modes = local_near_nullspace(self.local, prescribed)
+            modes = local_near_nullspace(self.full, prescribed)
             self._prepared = self.linear.setup(
                 eliminated,
                 modes,
@@ -652,7 +592,7 @@ class SparseSteps:
         # numbers of the blocks in rows of contact nodes
         blocks = np.flatnonzero(self._contact_of_row >= 0)
         diagonal_blocks = blocks[
-            self.local.system.nodes[self._contact_of_row[blocks]] == self._matrix.indices[blocks]
+            self.full.system.nodes[self._contact_of_row[blocks]] == self._matrix.indices[blocks]
         ]
         node = self._contact_of_row[diagonal_blocks]
         # A_t - mu z A_n, and on the diagonal kappa Pi and the springs 1/e
@@ -701,10 +641,9 @@ def coarsest_solution_near(
         solution, steps, passes = coarsest_solution_near(augmented.problem, rtol, None)
         return augmented.whole(solution), steps, passes
     # of scalar problems all nodes may touch: nothing is condensed
-    condensed = None if problem.dim == 1 else condense_problem(problem, lenient=True)
-    local = local_system(problem) if condensed is None else condensed.full
-    run = Run(unit=local.system.nonzeros)  # a work unit is a pass over this matrix
-    options = ActiveSet(rtol=rtol, condensed=condensed is not None)
-    newton = _Newton(options, local, run, level=0, start=start, condensed=condensed)
+    options = ActiveSet(rtol=rtol, condensed=problem.dim > 1)
+    run = Run(unit=problem.rows.nonzeros)  # a work unit is a pass over this matrix
+    linear = options.equations(problem, run, lenient=True)
+    newton = _Newton(options, linear, run, level=0, start=start)
     state, *_ = newton.solve(certified=False, test=_CoarsestTest)
-    return local.to_cartesian(state.unknowns).reshape(-1), state.cycles, run.work_units
+    return newton.local.to_cartesian(state.unknowns).reshape(-1), state.cycles, run.work_units
