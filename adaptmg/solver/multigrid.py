@@ -10,7 +10,7 @@ left: on problems of moderate size with the active set method, which needs the f
 and few steps, but factorisations; on larger ones with the monotone correction, which is slow but
 needs no more memory, and which nearly incompressible bodies do not have: these begin again from zero on
 every second level. A Newton step counts as a cycle, and its residual as one pass over the finest
-matrix; factorisations count as seconds. :class:`FinestFirst` goes the other way on small problems:
+matrix; factorisations count as seconds. :func:`from_finest` goes the other way on small problems:
 it begins with the active set method."""
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._text import label
 from adaptmg.grids import Grids
 from adaptmg.multigrid.cycle import CoarseSolve, Correction, Cycle, Monotone, NestedStart
 from adaptmg.multigrid.truncated_parts import Truncated
@@ -329,30 +328,21 @@ def _continued(
     )
 
 
-class FinestFirst:
-    """The default for a small problem: the active set method on the finest level alone; where it
-    fails, full multigrid on all levels of a hierarchy."""
-
-    #: the tolerance that is taken without an argument
-    rtol = cast("float", FullMultigrid.rtol)
-
-    def __init__(self, grids: Grids, rtol: float | None = None) -> None:
-        self.grids = grids
-        self.active_set = ActiveSet(rtol=self.rtol if rtol is None else rtol)
-
-    def __repr__(self) -> str:
-        return label(self.active_set)
-
-    def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level, from ``start`` (n_unknowns,) if it is given."""
-        rtol = self.active_set.rtol
-        try:
-            outcome = self.active_set.run(hierarchy, run, start)
-        except (np.linalg.LinAlgError, MemoryError) as error:
-            _LOG.info("the active set method gives up: %s", error)
-            zero = np.zeros(hierarchy.finest.discrete.n_unknowns)
-            outcome = Outcome(zero, Status.DIVERGED, cycles=0, rtol=rtol)
-        if outcome.status.ok or outcome.status is Status.ROUNDING:
-            return outcome
-        method = FullMultigrid if self.grids.discretised else Multigrid
-        return _continued(outcome, method(rtol=rtol), method.__name__, None, self.grids, run)
+def from_finest(
+    solver: ActiveSet, finest: Grids, run: Run, start: np.ndarray | None, grids: Grids
+) -> tuple[Outcome, Grids]:
+    """Solve by the active set method on the finest level alone, ``finest``, from a start (n_unknowns,)
+    or zero (None); where that fails, by full multigrid on all levels, ``grids``. Return the outcome
+    and the levels that it comes from."""
+    rtol = solver.rtol
+    try:
+        outcome = solver.run(finest, run, start)
+    except (np.linalg.LinAlgError, MemoryError) as error:
+        _LOG.info("the active set method gives up: %s", error)
+        zero = np.zeros(finest.finest.discrete.n_unknowns)
+        outcome = Outcome(zero, Status.DIVERGED, cycles=0, rtol=rtol)
+    if outcome.status.ok or outcome.status is Status.ROUNDING:
+        return outcome, finest
+    method = FullMultigrid if grids.discretised else Multigrid
+    after = _continued(outcome, method(rtol=rtol), method.__name__, None, grids, run)
+    return after, grids if run.fallback else finest

@@ -31,7 +31,7 @@ from adaptmg.solver.advice import advise, advise_on_adhesion, advise_on_law
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examined, Examiner
 from adaptmg.solver.iterate import StopTest
-from adaptmg.solver.multigrid import FinestFirst, FullMultigrid, Multigrid
+from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import Result, problem_name, versions
 from adaptmg.solver.statics import advise_on_free_motions
@@ -46,8 +46,10 @@ FACTORISED = {1: 1_000, 2: 30_000, 3: 6_000}
 LARGE_COARSEST = 1500
 #: nodes of a level over those of the next coarser one below which, there, the two are too close
 WIDE = {1: 2, 2: 2, 3: 4}
-#: the default on several levels: its options are checked once, not in each solve
+#: the default on several levels, and where the finest one has few unknowns: their options are checked once, not in
+#: each solve
 _FULL_MULTIGRID = FullMultigrid()
+_ON_FINEST = ActiveSet(rtol=cast("float", FullMultigrid.rtol))
 
 
 def tolerance_argument(rtol: float | None, solver: Solver | Method | None) -> float | None:
@@ -71,8 +73,10 @@ def method_argument(
         why = f"for {discrete.n_dofs} unknowns the quickest is the active set method"
         finest_alone = grids.finest.posing(prolongation=None, surface_prolongation=None)
         # the seconds that made the levels are not those of the solve
-        return replace(grids, levels=(finest_alone,), timings={}), FinestFirst(grids, rtol), why
-    grids, method, why = _method(solver, grids)
+        grids = replace(grids, levels=(finest_alone,), timings={})
+        method = _ON_FINEST
+    else:
+        grids, method, why = _method(solver, grids)
     return grids, method if rtol is None else replace(cast("Any", method), rtol=rtol), why
 
 
@@ -303,7 +307,8 @@ def _checked(outcome: Outcome, examined: Examined, solver: Solver | None) -> Out
     least = checked.energy_rounding
     if status.ok and 0 < rtol < checked.energy_error <= least:
         # the attribute of the class is the default of the option
-        default = "the default " if rtol == getattr(type(solver), "rtol", None) else ""
+        is_default = solver is _ON_FINEST or rtol == getattr(type(solver), "rtol", None)
+        default = "the default " if is_default else ""
         advise(
             "rounding",
             f"{default}rtol={rtol:.3g} is below what double precision reaches on these bodies, {least:.1e} "

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,10 +17,11 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.grids import Grids
 from adaptmg.problem.load_path import LoadPath
+from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import advise_on_problem, advise_on_results, once
 from adaptmg.solver.closed_forms import free_bodies
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.multigrid import FinestFirst, handed_over
+from adaptmg.solver.multigrid import from_finest, handed_over
 from adaptmg.solver.outcome import (
     checked_outcome,
     displacement_argument,
@@ -149,10 +151,11 @@ def solve(
         run.examiner = examiner
         warn_of_several_solutions(grids)
         advise_on_problem(posed)
-    outcome = checked_outcome(solver.run(grids, run, first), solver, discrete)
-    if run.fallback and isinstance(solver, FinestFirst):
-        grids = posed_grids  # multigrid took over on all levels
-    outcome = handed_over(outcome, grids, run)
+    if len(grids) == 1 < len(posed_grids):  # the default for few unknowns
+        outcome, grids = from_finest(cast("ActiveSet", solver), grids, run, first, posed_grids)
+    else:
+        outcome = solver.run(grids, run, first)
+    outcome = handed_over(checked_outcome(outcome, solver, discrete), grids, run)
     with run.phase("result"):
         stress_data = None
         if posed is not None:
