@@ -25,12 +25,13 @@ def _solve_graded(problem: am.ContactProblem, *methods: Any, size: float = 0.25)
         am.solve(grids, method, throw=False)
 
 
-def _methods(problem: am.ContactProblem) -> None:
-    """Solve a problem by every method."""
+def _methods(problem: am.ContactProblem, size: float) -> None:
+    """Solve a problem by every method, on meshes of :func:`_solve_graded`."""
     monotone = am.FullMultigrid(correction=am.Monotone())
     paper = am.FullMultigrid(correction=am.PaperCorrection(), max_cycles=3)
     methods = (am.FullMultigrid(), monotone, paper, am.SingleGrid(max_sweeps=20))
-    _solve_graded(problem, *methods, am.ActiveSet(), am.ActiveSet(condensed=False, max_steps=1))
+    sparse = am.ActiveSet(condensed=False, max_steps=1)
+    _solve_graded(problem, *methods, am.ActiveSet(), sparse, size=size)
 
 
 def _transfers() -> None:
@@ -62,8 +63,8 @@ def _pictures() -> None:
 #: the solves by their names on the bar: 5 s of one processor where all kernels are compiled, 14 s with all Newton steps
 #: of the active set method without condensation
 STEPS: Mapping[str, Callable[[], object]] = {
-    "plane bodies, every method": lambda: _methods(PLANE),
-    "solids, every method": lambda: _methods(SOLID),
+    "plane bodies, every method": lambda: _methods(PLANE, size=0.25),
+    "solids, every method": lambda: _methods(SOLID, size=0.4),
     "two bodies": lambda: _solve_graded(PAIR),
     "two solids": lambda: _solve_graded(am.cases.two_block_patch(dim=3)),
     "axisymmetric bodies": lambda: _solve_graded(am.cases.hertz_sphere(), size=0.1),

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import ast
 import os
+import re
 import resource
 import shutil
 import subprocess
@@ -147,6 +148,21 @@ def replaced(source: str, mutant: Mutant) -> str:
     return (whole[:begin] + mutant.text.encode() + whole[end:]).decode()
 
 
+def with_its_code(package: Path, module: Path) -> set[Path]:
+    """Return the modules whose compiled kernels may contain code of a module: it, and modules of
+    kernels that import it, directly or through others."""
+    sources = {path: path.read_text() for path in package.rglob("*.py")}
+    kernels = {path for path, text in sources.items() if any(word in text for word in KERNELS)}
+    found: set[Path] = set()
+    new = {module}
+    while new:
+        found |= new
+        stems = "|".join(path.stem for path in new)
+        imports = re.compile(rf"import .*\b({stems})\b|\b({stems}) import")
+        new = {path for path in kernels - found if imports.search(sources[path])}
+    return found
+
+
 def killed(module: str, mutant: Mutant) -> bool:
     """Return whether a test fails on a copy of the package with a mutant."""
     with tempfile.TemporaryDirectory() as folder:
@@ -156,9 +172,9 @@ def killed(module: str, mutant: Mutant) -> bool:
         shutil.copy(ROOT / "pyproject.toml", copy)
         path = copy / module
         path.write_text(replaced(path.read_text(), mutant))
-        compiled = any(word in path.read_text() for word in KERNELS)
-        if compiled:  # what numba has stored of its callers does not see the change
-            for cached in (copy / "adaptmg").rglob("*.nbi"):
+        # what numba has stored of callers does not see the change
+        for caller in with_its_code(copy / "adaptmg", path):
+            for cached in (caller.parent / "__pycache__").glob(f"{caller.stem}.*.nbi"):
                 cached.unlink()
         stem = Path(module).stem
         imported = module.removesuffix(".py").replace("/", ".")

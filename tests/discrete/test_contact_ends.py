@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import rotation
+from bodies import random_turn, rotation
 from simplex_meshes import random_box
 
 import adaptmg as am
@@ -28,8 +28,7 @@ def skewed_box(dim, seed, skew):
     places = [
         np.abs(middle[:, axis] - value) < 1e-12 for axis in range(dim) for value in (0.0, 1.0)
     ]
-    turn, _ = np.linalg.qr(rng.normal(size=(dim, dim)))
-    turn[0] *= np.sign(np.linalg.det(turn))
+    turn = random_turn(rng, dim)
     shape = turn @ (np.eye(dim) + skew * np.triu(rng.uniform(0.5, 1, (dim, dim)), 1))
     scale, order = 10 ** rng.uniform(-3, 1), rng.permutation(mesh.n_nodes)
     number = np.argsort(order)

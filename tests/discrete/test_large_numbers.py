@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from behind import mesh_behind, problem_behind
+from bodies import random_turn, slabs
 
 import adaptmg as am
 
@@ -17,13 +18,8 @@ SPRUNG = am.Spring("lower.bottom", normal=2e11, tangential=1e11)
 def pressed(dim, seed, elements="linear"):
     """Springs, a tie, a pair, a crack along it in 2D and a moving obstacle, turned at random."""
     rng = np.random.default_rng(seed)
-    turn = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
-    turn[0] *= np.linalg.det(turn)
-    kind, depth = (am.Rectangle, {}) if dim == 2 else (am.Box, {"depth": 1.0})
-    parts = {
-        name: kind(width=1.0, height=0.5, origin=(*[0.0] * (dim - 1), low), **depth)
-        for name, low in (("upper", 1.0), ("middle", 0.5), ("lower", 0.0))
-    }
+    turn = random_turn(rng, dim)
+    parts = slabs(dim, upper=1.0, middle=0.5, lower=0.0)
     mesh = am.mesh.structured(am.Assembly(parts=parts), {"upper": 3, "middle": 4, "lower": 6})
     contact = [am.ContactPair("upper.bottom", "middle.top")]
     if dim == 2:
@@ -50,8 +46,7 @@ def pressed(dim, seed, elements="linear"):
 
 def guided():
     """A block that turned planes press, and push along an obstacle with which they share edges."""
-    turn = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
-    turn[:, 0] *= np.linalg.det(turn)
+    turn = random_turn(np.random.default_rng(3))
     mesh = am.mesh.structured(CUBE, 5)
     shifts = {"left": -1e-3, "right": 4e-4, "front": 2e-4, "top": -2e-3}
     problem = am.ContactProblem(

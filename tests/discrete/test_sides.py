@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import turned
+from bodies import slabs, turned
 
 import adaptmg as am
 from adaptmg.discrete.sides import with_sides
@@ -65,11 +65,8 @@ def test_auto_takes_the_softer_then_the_finer_side_either_way_written(contrast, 
 @pytest.mark.parametrize("angle", [0.0, 0.7, 2.0])
 def test_sides_of_equal_size_stay_as_they_are_written(angle):
     """Turned, the sizes differ by rounding."""
-    parts = {
-        name: am.Rectangle(width=1.0, height=0.5, origin=(0.0, low))
-        for name, low in (("upper", 0.0), ("lower", -0.5))
-    }
-    mesh = turned(am.mesh.structured(am.Assembly(parts=parts), 7), angle)
+    parts = am.Assembly(parts=slabs(2, upper=0.0, lower=-0.5))
+    mesh = turned(am.mesh.structured(parts, 7), angle)
     for names in (("upper.bottom", "lower.top"), ("lower.top", "upper.bottom")):
         problem = replace(pair(1.0, *names)[0], domain=None)
         assert with_sides(problem, mesh).contact_boundaries == names[:1]

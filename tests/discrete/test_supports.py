@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import assert_balanced
+from bodies import assert_balanced, random_turn, slabs
 from refused import refused
 from saddle import Parts
 from simplex_meshes import numbered_at_random
@@ -235,8 +235,7 @@ test_refused = refused(
 def sheared(dim, seed):
     """Meshes of a parallelogram or parallelepiped in a random direction, a corner at the origin."""
     rng = np.random.default_rng(seed)
-    turn = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
-    turn[0] *= np.linalg.det(turn)
+    turn = random_turn(rng, dim)
     matrix = (
         10.0 ** rng.uniform(-2, 1)
         * turn
@@ -332,10 +331,7 @@ def test_supports_along_one_normal_that_part_in_a_path_are_refused(turned):
     """Only these are named, although supports at right angles hold some of their nodes, too. With
     equal factors they move all of the body."""
     box = am.mesh.structured(am.Box(width=1, depth=1, height=1), 2)
-    turn = (
-        np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0] if turned else np.eye(3)
-    )
-    turn *= np.linalg.det(turn)
+    turn = random_turn(np.random.default_rng(4)) if turned else np.eye(3)
     is_upper = (box.facet_labels == box.boundaries.index("left")) & (
         box.points[box.facets, 2].mean(axis=1) > 0.5
     )
@@ -495,8 +491,7 @@ def test_supports_along_normals_turn_with_the_body(dim, moves, tilt):
     guides = [am.Support(name, normal=shift) for name, shift in list(sides.items())[: dim - 1]]
     changes = {"supports": (*guides, am.Support("top", normal=-2e-3))} if moves else {}
     rng = np.random.default_rng(dim)
-    turn, shift = np.linalg.qr(rng.standard_normal((dim, dim)))[0], rng.uniform(-5, 5, dim)
-    turn[0] *= np.linalg.det(turn)
+    turn, shift = random_turn(rng, dim), rng.uniform(-5, 5, dim)
     unit = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
     shear = np.eye(dim)
     shear[-1, 0] = tilt
@@ -580,8 +575,7 @@ def test_pairs_between_plane_supports_turn_with_the_bodies(dim, moves):
     meshes = [
         am.mesh.structured(am.Assembly(parts=parts), {"upper": n, "lower": n + 1}) for n in (2, 4)
     ]
-    turn = np.linalg.qr(np.random.default_rng(dim).standard_normal((dim, dim)))[0]
-    turn[0] *= np.linalg.det(turn)
+    turn = random_turn(np.random.default_rng(dim), dim)
     one, grids = (
         am.Hierarchy.from_meshes(
             problem, [replace(mesh, points=mesh.points @ each.T) for mesh in meshes]
@@ -615,15 +609,12 @@ def test_pairs_between_plane_supports_turn_with_the_bodies(dim, moves):
 def test_planes_that_hold_one_body_of_a_pair_each_turn_with_it():
     """A corner of the slave is held along one tangent, nodes that it faces along the other: it carries no
     condition, at any angle."""
-    parts = {
-        name: am.Box(width=1, depth=1, height=0.5, origin=(0.0, 0.0, low))
-        for name, low in (("upper", 0.0), ("lower", -0.5))
-    }
-    mesh = am.mesh.structured(am.Assembly(parts=parts), {"upper": 2, "lower": 3})
+    mesh = am.mesh.structured(
+        am.Assembly(parts=slabs(3, upper=0.0, lower=-0.5)), {"upper": 2, "lower": 3}
+    )
     held = ("upper.left", "upper.back", "lower.front", "lower.right", "lower.bottom")
     found = []
-    for turn in (np.eye(3), np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]):
-        turn *= np.linalg.det(turn)
+    for turn in (np.eye(3), random_turn(np.random.default_rng(2))):
         problem = am.ContactProblem(
             material=am.Solid(young=1e7, poisson=0.3),
             law=am.Coulomb(0.3),

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from bodies import EXACT, rotation
+from bodies import EXACT, random_turn, rotation, slabs
 from refused import refused
 
 import adaptmg as am
@@ -18,14 +18,9 @@ def stacked(dim, seed):
     """Two tied blocks under tension in a random place, size and direction; the meshes and the
     turn."""
     rng = np.random.default_rng(seed)
-    turn = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
-    turn[0] *= np.linalg.det(turn)
+    turn = random_turn(rng, dim)
     size, shift = 10.0 ** rng.uniform(-3, 2), rng.uniform(-5, 5, dim)
-    box, depth = (am.Box, {"depth": 1.0}) if dim == 3 else (am.Rectangle, {})
-    parts = {
-        name: box(width=1.0, height=0.5, origin=(*[0.0] * (dim - 1), low), **depth)
-        for name, low in (("upper", 0.5), ("lower", 0.0))
-    }
+    parts = slabs(dim, upper=0.5, lower=0.0)
     meshes = [
         am.mesh.structured(am.Assembly(parts=parts), {"upper": 3 * n // 2, "lower": n})
         for n in (2, 4)
@@ -356,11 +351,6 @@ def test_contact_does_not_depend_on_where_a_cell_begins(dim, facing):
     n = 8 if dim == 2 else 4
     names = "xyz"[:dim]
 
-    def part(base):
-        if dim == 2:
-            return am.Rectangle(width=1, height=0.5, origin=(0, base))
-        return am.Box(width=1, depth=1, height=0.5, origin=(0, 0, base))
-
     def pressed(crest):
         def gap(points):
             return 1e-3 * (1 - np.cos(2 * np.pi * (points[:, : dim - 1] - crest)).mean(axis=1)) / 2
@@ -369,10 +359,10 @@ def test_contact_does_not_depend_on_where_a_cell_begins(dim, facing):
         clamped = dict.fromkeys(names, 0.0)
         if facing == "obstacle":
             moved = am.Moving(am.GapFunction(gap), displacement=tuple(-x for x in motion))
-            parts, contact = {"up": part(0)}, am.Contact("up.bottom", moved)
+            parts, contact = slabs(dim, up=0.0), am.Contact("up.bottom", moved)
             supports = [am.Support("up.top", **clamped)]
         else:
-            parts = {"low": part(-0.5), "up": part(0)}
+            parts = slabs(dim, low=-0.5, up=0.0)
             contact = am.ContactPair("up.bottom", "low.top", gap=gap, coupling=facing)
             supports = [
                 am.Support("low.bottom", **clamped),
@@ -413,12 +403,7 @@ def test_a_tie_of_unlike_meshes_does_not_depend_on_where_a_cell_begins(dim):
     """With the coarser side as slave, and a mean strain."""
 
     def solved(crest):
-        parts = {
-            name: am.Rectangle(width=1, height=0.5, origin=(0, base))
-            if dim == 2
-            else am.Box(width=1, depth=1, height=0.5, origin=(0, 0, base))
-            for name, base in (("low", 0), ("up", 0.5))
-        }
+        parts = slabs(dim, low=0.0, up=0.5)
         sides = (("left", "right"), ("front", "back"))[: dim - 1]
         problem = am.ContactProblem(
             domain=am.Assembly(parts=parts),
@@ -587,10 +572,7 @@ def test_a_boundary_that_is_tied_and_in_contact_bears_both():
 @pytest.mark.parametrize("shift", [0.0, -4e-4])
 def test_a_tie_between_a_plane_support_and_contact_bears_what_one_body_bears(shift, turned):
     """Contact nodes in the plane take over parts of tied nodes that are free along its normal."""
-    turn = (
-        np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0] if turned else np.eye(3)
-    )
-    turn[0] *= np.linalg.det(turn)
+    turn = random_turn(np.random.default_rng(1)) if turned else np.eye(3)
     box = am.Box(width=1, depth=1, height=1)
     parts = am.Assembly(parts={"a": box, "b": replace(box, origin=(1, 0, 0))})
     whole = am.Box(width=2, depth=1, height=1)

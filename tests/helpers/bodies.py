@@ -24,6 +24,22 @@ def rotation(turn):
     return np.array([[c, -s], [s, c]])
 
 
+def random_turn(rng, dim=3):
+    """The matrix of a random rotation."""
+    turn = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
+    turn[0] *= np.linalg.det(turn)
+    return turn
+
+
+def slabs(dim, **low):
+    """Blocks that are 0.5 high, by the heights of their bottoms."""
+    box, depth = (am.Box, {"depth": 1.0}) if dim == 3 else (am.Rectangle, {})
+    return {
+        name: box(width=1.0, height=0.5, origin=(*[0.0] * (dim - 1), bottom), **depth)
+        for name, bottom in low.items()
+    }
+
+
 def turned(mesh, turn):
     """A mesh turned about the origin."""
     return am.MeshArrays(

@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 
 
 def words(figure: Figure) -> str:
-    """All texts of a figure, after it has been drawn."""
-    figure.canvas.draw()
+    """All texts of a figure, which the package has drawn."""
     return "\n".join(t.get_text() for t in figure.findobj(plt.Text) if t.get_text())
 
 

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from bodies import random_turn, slabs
 from scipy import sparse
 
 import adaptmg as am
@@ -92,14 +93,8 @@ def test_a_load_of_another_moment_contradicts():
 def stacked(dim, seed, **changes):
     """Three blocks on springs: a pair under the upper one, a tie under the middle one, turned."""
     rng = np.random.default_rng(seed)
-    turn = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
-    turn[0] *= np.linalg.det(turn)
-    kind = am.Rectangle if dim == 2 else am.Box
-    depth = {} if dim == 2 else {"depth": 1.0}
-    parts = {
-        name: kind(width=1.0, height=0.5, origin=(*[0.0] * (dim - 1), low), **depth)
-        for name, low in (("upper", 1.0), ("middle", 0.5), ("lower", 0.0))
-    }
+    turn = random_turn(rng, dim)
+    parts = slabs(dim, upper=1.0, middle=0.5, lower=0.0)
     cells = (
         {"upper": 5, "middle": 4, "lower": 3} if dim == 2 else {"upper": 2, "middle": 3, "lower": 2}
     )

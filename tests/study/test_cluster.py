@@ -24,7 +24,7 @@ from refused import refused
 import adaptmg as am
 from adaptmg.study import cluster as executor
 from adaptmg.study import execute
-from adaptmg.study.store import Store
+from adaptmg.study.store import Store, pack
 
 distributed = pytest.importorskip("distributed")
 psutil = pytest.importorskip("psutil")
@@ -96,25 +96,14 @@ def test_a_closure_runs_elsewhere_on_one_thread_and_warm(cluster):
     }
 
 
-def test_a_run_that_ends_its_worker_once_is_started_again(cluster, tmp_path):
-    marks = str(tmp_path)
+def test_a_run_that_ends_its_worker_is_started_again_once_and_then_fails_alone(cluster, tmp_path):
+    marks = tmp_path / "marks"
+    marks.mkdir()
 
     def run(n):
-        if n == 2 and not os.listdir(marks):
-            open(os.path.join(marks, "died"), "w").close()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return {"m": n}
-
-    study = am.Study(run, {"n": range(5)}, tmp_path.parent / f"{tmp_path.name}.sqlite")
-    study.run(progress=False, scheduler=cluster)
-    table = study.table(details=True)
-    assert table["status"].tolist() == ["done"] * 5
-    assert table["m"][2] == 2 and len(os.listdir(marks)) == 1
-
-
-def test_a_run_that_always_ends_its_worker_fails_alone(cluster, tmp_path):
-    def run(n):
-        if n == 4:  # the last one: dask blames what waits for the same worker, too
+        # the last one: dask blames what waits for the same worker, too
+        if n == 4 or (n == 2 and not os.listdir(marks)):
+            (marks / str(n)).touch()
             os.kill(os.getpid(), signal.SIGKILL)
         return {"m": n}
 
@@ -122,9 +111,11 @@ def test_a_run_that_always_ends_its_worker_fails_alone(cluster, tmp_path):
     study.run(progress=False, scheduler=cluster)
     table = study.table(details=True)
     assert table["status"].tolist() == ["done"] * 4 + ["failed"]
+    assert table["m"][2] == 2 and set(os.listdir(marks)) == {"2", "4"}
     assert table["error"][4] == "WorkerDied: worker died 2 times during this run"
 
 
+@pytest.mark.slow
 def test_runs_over_their_limits_are_stopped(cluster):
     def run(what):
         if what == "locked":
@@ -251,48 +242,56 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
 
 
 SCRIPT = """
-    import ctypes, functools, sys, time
+    import ctypes, os, subprocess, sys
+    import numpy as np
     from adaptmg.study import Study
 
-    @functools.lru_cache
-    def square(n):
-        return n * n
+    def run(number):
+        if number >= int(os.environ["ENDING_RUNS"]):
+            subprocess.Popen(["sleep", "600"])
+            ctypes.PyDLL(None).sleep(600)  # keeps Python's lock, as compiled code may
+        return {"u": np.random.default_rng(number).normal(size=100)}
 
-    def hanging(n):
-        if n >= 10:
-            ctypes.PyDLL(None).sleep(600)  # keeps Python's lock
-        return {"square": square(n)}
-
-    Study(hanging, {"n": range(12)}, sys.argv[1]).run(workers=2, progress=False)
+    Study(run, {"number": range(3)}, sys.argv[1]).run(workers=2, progress=False)
 """
 
 
-def test_a_script_that_is_interrupted_keeps_rows_and_no_process(tmp_path):
-    """A script without a guard for ``__main__``, whose runs cannot be interrupted."""
+@pytest.mark.slow
+def test_a_study_that_is_ended_keeps_rows_and_no_process_and_goes_on(tmp_path):
+    """A script without a guard for ``__main__``, whose runs start processes and cannot be
+    interrupted: by Ctrl-C, then by the system."""
     script, path = tmp_path / "script.py", tmp_path / "s.sqlite"
     script.write_text(textwrap.dedent(SCRIPT), encoding="utf-8")
-    started = subprocess.Popen(
-        [sys.executable, str(script), str(path)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    end = time.monotonic() + 240
-    while time.monotonic() < end and (not path.exists() or len(Store(path).get("hanging")) < 5):
-        time.sleep(0.2)
-    processes = psutil.Process(started.pid).children(recursive=True)
-    assert len(processes) >= 2
-    started.send_signal(signal.SIGINT)
-    started.wait(60)
-    assert not psutil.wait_procs(processes, timeout=60)[1]
-    assert len(Store(path).get("hanging")) >= 5
 
+    def started(ending):
+        return subprocess.Popen(
+            [sys.executable, str(script), str(path)],
+            stderr=subprocess.DEVNULL,
+            env=os.environ | {"ENDING_RUNS": str(ending)},
+        )
 
-@pytest.mark.slow
-def test_a_study_that_is_killed_and_resumed_has_every_run_once():
-    """And its numbers to the last bit: killed are a worker, and then the main process."""
-    from killing import campaign
+    def rows():
+        return Store(path).get("run") if path.exists() else {}
 
-    assert campaign(runs=4, kills=1, seed=1) == {"done": 4, "different": 0, "left": []}
+    for ending, how in ((1, signal.SIGINT), (2, signal.SIGKILL)):
+        study = started(ending)
+        processes = []
+        end = time.monotonic() + 240
+        while time.monotonic() < end and (
+            len(rows()) < ending
+            or [process.name() for process in processes].count("sleep") < 3 - ending
+        ):
+            time.sleep(0.1)
+            processes = psutil.Process(study.pid).children(recursive=True)
+        study.send_signal(how)
+        assert study.wait(60) != 0
+        assert not psutil.wait_procs(processes, timeout=30)[1]
+        assert len(rows()) == ending
+    assert started(3).wait(120) == 0
+    assert len(rows()) == 3
+    for key, record in rows().items():
+        u = np.random.default_rng(record.parameters["number"]).normal(size=100)
+        assert record.status == "done" and Store(path).kept("run", key) == {"u": pack(u)}
 
 
 # a cluster of the user, started as the README says: ``dask scheduler`` and ``dask worker`` in a
@@ -433,6 +432,7 @@ def test_failed_starts_leave_no_process(monkeypatch):
     assert _children() <= before
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_while_all_start_is_replaced():
     """By a system that is short of memory, say. Ctrl-C then leaves no process."""
     killed = []
