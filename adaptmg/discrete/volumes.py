@@ -23,6 +23,7 @@ on all meshes tried)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -78,7 +79,7 @@ class Volumes:
     @lru_cache(maxsize=32)  # hierarchies ask for each level many times: .1 ms each
     def none(cls, n_nodes: int, dim: int) -> Volumes:
         """Return no groups, of a problem whose matrix holds the whole stiffness."""
-        return cls(
+        return NoVolumes(
             rows=checks.no_entries((0, n_nodes * dim)),
             means=checks.no_entries((0, n_nodes)),
             areas=NO_PRESSURES,
@@ -101,20 +102,51 @@ class Volumes:
         return self.columns @ pressures
 
     def balanced(self, forces: np.ndarray, pressures: np.ndarray) -> np.ndarray:
-        """Return forces (n_dofs,) minus B'p, N; these themselves without groups."""
-        # a product with nothing takes 20 us, ten times a cycle
-        return forces - self.forces(pressures) if len(self) else forces
+        """Return forces (n_dofs,) minus B'p, N; without groups these themselves."""
+        return forces - self.forces(pressures)
+
+    def right_side(self, forces: np.ndarray, missed: np.ndarray) -> np.ndarray:
+        """Return forces (n_dofs,) followed by -A times what strains miss (n_groups,), as the equations of
+        displacements and pressures have them on their right-hand side; without groups the forces."""
+        return np.append(forces, -self.areas * missed)
 
     def strains(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the mean divergence (n_groups,) of unknowns (n_dofs,), with that of what inclined supports
         prescribe, and without that of free expansion."""
-        if not len(self):
-            return NO_PRESSURES
         return (self.rows @ unknowns) / self.areas - self.expansion + self.prescribed
 
     def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         """Return the :meth:`strains` minus p / kappa (n_groups,)."""
-        return self.strains(unknowns) - self.compliance * pressures
+        missed = (self.rows @ unknowns) / self.areas - self.compliance * pressures
+        return missed + (self.prescribed - self.expansion)
+
+    def from_prescribed(self, fixed: np.ndarray, fixed_values: np.ndarray) -> Volumes:
+        """Return the groups for unknowns that count from prescribed values (n_dofs,) and are zero at dofs
+        in the mask ``fixed`` (n_dofs,)."""
+        data = self.rows.data * ~fixed[self.rows.indices]
+        rows = sparse.csr_array((data, self.rows.indices, self.rows.indptr), shape=self.rows.shape)
+        return replace(self, rows=rows, expansion=0.0, prescribed=self.strains(fixed_values))
+
+    @cached_property
+    def uniform(self) -> tuple[np.ndarray, ...]:
+        """Return for each body the pressures (n_groups,) that are 1 in it."""
+        return tuple((self.body == k).astype(float) for k in np.unique(self.body))
+
+    def relax(self, unknowns: np.ndarray, pressures: np.ndarray, share: float) -> float:
+        """Change ``pressures`` (n_groups,), in place, towards those of unknowns (n_dofs,), by a ``share``
+        of the step of :mod:`adaptmg.multigrid.volume_pressures`; return the energy of the whole step,
+        N m."""
+        missed = self.missed(unknowns, pressures)
+        # (b u - p/kappa) / (1/kappa + 1/(lambda_1 + mu))
+        change = missed / (self.compliance + 1 / self.modulus)
+        energy = float(np.einsum("i,i,i->", self.areas, missed, change))
+        pressures += share * change
+        return energy
+
+    def conditions(self, unknowns: np.ndarray, pressures: np.ndarray) -> dict[str, np.ndarray]:
+        """Return what strains miss, as forces (n_groups,), N, by the name of this condition; without
+        groups there is none."""
+        return {"volumes": self.scale * self.missed(unknowns, pressures)}
 
     def energy(self, pressures: np.ndarray) -> float:
         """Return the sum of A p^2 / kappa, N m."""
@@ -130,8 +162,6 @@ class Volumes:
     def expanding(self, mesh: MeshArrays, strain: np.ndarray, axisymmetric: bool) -> Volumes:
         """Return these groups with the expansion of initial strains (n_elements, 3), xx, yy and zz, of
         elements."""
-        if not len(self):
-            return self
         present = self.corners >= 0
         size = self.corners.shape[1]
         shares = np.repeat(
@@ -148,10 +178,52 @@ class Volumes:
         total = np.asarray(self.means.sum(axis=0)).reshape(-1)
         return np.divide(self.means.T @ pressures, total, out=np.zeros_like(total), where=total > 0)
 
-    def of_elements(self, pressures: np.ndarray) -> np.ndarray:
+    def interpolated(
+        self, pressures: np.ndarray, to_fine: Callable[[np.ndarray], np.ndarray], fine: Volumes
+    ) -> np.ndarray:
+        """Return pressures, Pa, of the groups of a ``fine`` level; ``to_fine`` interpolates values of
+        nodes."""
+        return fine.means @ to_fine(self.at_nodes(pressures))
+
+    def of_elements(self, pressures: np.ndarray) -> np.ndarray | None:
         """Return the means (n_elements,) of the pressures (n_groups,) at the corners of elements, which are
-        0 where a corner has no group: its number -1 is the place of the last entry."""
+        0 where a corner has no group: its number -1 is the place of the last entry. None without
+        groups."""
         return np.append(pressures, 0.0)[self.corners].mean(axis=1)
+
+
+class NoVolumes(Volumes):
+    """No groups: the formulas without their products with nothing, which take up to 20 us each, several
+    times a cycle."""
+
+    def balanced(self, forces: np.ndarray, pressures: np.ndarray) -> np.ndarray:
+        return forces
+
+    def right_side(self, forces: np.ndarray, missed: np.ndarray) -> np.ndarray:
+        return forces
+
+    def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
+        return NO_PRESSURES
+
+    def from_prescribed(self, fixed: np.ndarray, fixed_values: np.ndarray) -> Volumes:
+        return self
+
+    def relax(self, unknowns: np.ndarray, pressures: np.ndarray, share: float) -> float:
+        return 0.0
+
+    def expanding(self, mesh: MeshArrays, strain: np.ndarray, axisymmetric: bool) -> Volumes:
+        return self
+
+    def interpolated(
+        self, pressures: np.ndarray, to_fine: Callable[[np.ndarray], np.ndarray], fine: Volumes
+    ) -> np.ndarray:
+        return np.zeros(len(fine))
+
+    def conditions(self, unknowns: np.ndarray, pressures: np.ndarray) -> dict[str, np.ndarray]:
+        return {}
+
+    def of_elements(self, pressures: np.ndarray) -> None:
+        return None
 
 
 def formed_volumes(groups: Volumes, dim: int) -> sparse.bsr_array:

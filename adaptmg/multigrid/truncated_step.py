@@ -52,7 +52,6 @@ from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_contact import UPPER, TruncatedContact, with_fields
 from adaptmg.multigrid.truncated_parts import FrameSmoother, Truncated
 from adaptmg.multigrid.truncation import Truncation
-from adaptmg.multigrid.volume_pressures import VolumePressures
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.factorisation import Eliminated, eliminate
 from adaptmg.smoother.interior_point import DenseSpan, dense_factors, interior_point
@@ -112,6 +111,10 @@ class TruncatedStep:
     #: block of rubber takes 34 cycles from zero at 0, 21 at 2, 20 at 4, 19 without a limit; 130 solves of random bodies
     #: of rubber 1928, 1935, 1928, 1977
     UNIFORM_CHANGES = 4
+    #: share of a step of the pressures after a change of the status, and number of such steps
+    #: CAUTIOUS: half changes 4 of 119 solves, paths and loops, twice 5; cycles 691, 700, 682
+    #: (campaign constants)
+    CAUTIOUS, CAUTIOUS_STEPS = 0.5, 2
     #: times that the interval in the search for the least energy is halved
     HALVINGS = 30
 
@@ -141,7 +144,6 @@ class TruncatedStep:
             [level.prolongation for level in levels[1:]],
             contact,
         )
-        self.pressures = VolumePressures(problem)
         self.interface = interface
         self.smoother = smoother
         self._applied: TruncatedStatus | None = None
@@ -151,12 +153,12 @@ class TruncatedStep:
     def pose(self, problem: DiscreteProblem) -> None:
         """Replace loads, prescribed values, gaps and slip references by those of another load step."""
         self.contact = self.contact.posed(problem)
-        self.pressures.pose(problem)
         self._set_load(problem)
 
     def _set_load(self, problem: DiscreteProblem) -> None:
-        """Store the load of a problem, and the motions that only contact holds."""
+        """Store the load and the volumes of a problem, and the motions that only contact holds."""
         self.load = problem.load_from_prescribed()
+        self.volumes = problem.volumes.from_prescribed(problem.fixed, problem.fixed_values)
         self.motions = (
             RigidMotions.of(problem, self.contact, self.load)
             if self.options.rigid_motions
@@ -201,9 +203,9 @@ class TruncatedStep:
         self._project(contact, proposed)
         if state.linearised.frozen and self.options.search:
             self._search(state, proposed, contact)
-        if len(pressures):
-            energy += self.pressures.advance(proposed, pressures, state.cautious > 0)
-            self.cycle.recorder.count(2.0, self.pressures.nonzeros)
+        share = self.CAUTIOUS if state.cautious > 0 else 1.0
+        energy += self.volumes.relax(proposed, pressures, share)
+        self.cycle.recorder.count(2.0, self.volumes.rows.nnz)
         self.cycle.recorder.visit(self.number, "prolong")
         return with_fields(
             state,
@@ -269,22 +271,22 @@ class TruncatedStep:
         size = state.size
         if norm is not None:
             # u'Au = u'f - u'r, and the energy of the pressures
-            balanced = self.pressures.volumes.balanced(self.load, pressures)
+            balanced = self.volumes.balanced(self.load, pressures)
             energy = _product(unknowns, balanced) - _product(unknowns, residual)
-            energy += self.pressures.volumes.energy(pressures)
+            energy += self.volumes.energy(pressures)
             size = norm(unknowns, energy)
         changed, natural_squares, reaction_squares = contact.update_status(residual)
-        # only pressures need it
-        full_residual = residual.copy() if len(pressures) else residual
+        at_contact = residual.reshape(-1, contact.dim)[contact.nodes]
         truncated_squares = contact.truncate(residual)
         n = self.coarse.n_dofs
         coarse_residual = np.empty(n + len(pressures))
         all_squares = self.level.restrict(residual, coarse_residual[:n])
         self.cycle.recorder.visit(self.number, "restrict")
-        if len(pressures):
-            coarse_residual[n:] = self.pressures.missed(unknowns, pressures)
-            natural_squares += self.pressures.forces_missed(coarse_residual[n:])
-            self.cycle.recorder.count(1.0, self.pressures.nonzeros)
+        missed = self.volumes.missed(unknowns, pressures)
+        coarse_residual[n:] = missed
+        forces_missed = self.volumes.scale * missed
+        natural_squares += _product(forces_missed, forces_missed)
+        self.cycle.recorder.count(1.0, self.volumes.rows.nnz)
         # away from contact nodes the natural residual is the residual
         free_squares = max(all_squares - truncated_squares, 0.0)
         natural = float(np.sqrt(free_squares + natural_squares))
@@ -297,14 +299,14 @@ class TruncatedStep:
             size=size,
         )
         frozen = natural > trusted(unknowns)
-        return self._with_linear_problem(measured, full_residual, frozen)
+        return self._with_linear_problem(measured, at_contact, frozen)
 
     def _with_linear_problem(
-        self, state: TruncatedState, full_residual: np.ndarray, frozen: bool
+        self, state: TruncatedState, at_contact: np.ndarray, frozen: bool
     ) -> TruncatedState:
         """Return a measured state with the linear problem of its status: if that has changed, the
-        earlier iterates had another one and are dropped. ``full_residual`` (n_dofs,) is that before
-        the truncation, which is read where there are pressures."""
+        earlier iterates had another one and are dropped. ``at_contact`` (n_contact, dim) is the residual
+        at contact nodes before the truncation."""
         contact = state.contact
         if state.linearised is None or state.changed or frozen != state.linearised.frozen:
             # a start has no status that moves: if it counts, 46 problems with Poisson's ratios of .45
@@ -316,13 +318,12 @@ class TruncatedStep:
                 linearised=TruncatedStatus(contact, frozen),
                 past=(),
                 uniform=(),
-                cautious=self.pressures.STEPS if status_moves else state.cautious,
+                cautious=self.CAUTIOUS_STEPS if status_moves else state.cautious,
             )
-        with_pressures = len(state.iterate) > self._n_dofs
-        if with_pressures and not state.uniform and state.changed <= self.UNIFORM_CHANGES:
+        if not state.uniform and state.changed <= self.UNIFORM_CHANGES:
             directions = tuple(
-                self._of_uniform(contact, full_residual, state.residual, mode)
-                for mode in self.pressures.uniform
+                self._of_uniform(contact, at_contact, state.residual, mode)
+                for mode in self.volumes.uniform
             )
             state = with_fields(state, uniform=directions)
         return state
@@ -365,20 +366,23 @@ class TruncatedStep:
             # of their energies
             blocks = self.coarse.inverse.reshape(-1, self.coarse.dim, self.coarse.dim)
             diagonals = blocks.diagonal(axis1=1, axis2=2).reshape(-1)
-            self._weights = np.append(diagonals, self.pressures.weights)
+            self._weights = np.append(diagonals, self.volumes.areas * self.volumes.modulus)
 
     def _of_uniform(
         self,
         contact: TruncatedContact,
-        whole: np.ndarray,
+        at_contact: np.ndarray,
         truncated: np.ndarray,
         pressures: np.ndarray,
     ) -> Recombinable:
         """Return uniform ``pressures`` q (n_groups,), Pa, as a direction of recombination: their changes
         of the restricted residual, P'(T(r - B'q) - T r), and of the missed volumes, -q/kappa.
-        ``whole`` (n_dofs,) is the residual r before the truncation T, ``truncated`` that after it."""
-        volumes = self.pressures.volumes
-        changed = whole - volumes.forces(pressures)
+        ``at_contact`` (n_contact, dim) is the residual r at contact nodes before the truncation T, which
+        changes it only there, ``truncated`` (n_dofs,) that after it."""
+        volumes = self.volumes
+        changed = truncated.copy()
+        changed.reshape(-1, contact.dim)[contact.nodes] = at_contact
+        changed -= volumes.forces(pressures)
         restricted = np.empty(self.coarse.n_dofs)
         contact.truncate(changed)
         self.level.restrict(changed - truncated, restricted)
@@ -399,7 +403,7 @@ class TruncatedStep:
                 self._projected_sweeps(state)
             return
         unknowns, pressures = self.parts(state)
-        load = self.pressures.volumes.balanced(self.load, pressures)
+        load = self.volumes.balanced(self.load, pressures)
         passes = self.smoother.smooth(load, state.contact, unknowns, state.residual)
         self.cycle.recorder.count(passes, self.matrix.nonzeros)
         self.cycle.recorder.count(1.0, self.matrix.nonzeros)  # the residual
@@ -412,7 +416,7 @@ class TruncatedStep:
         matrix = self.matrix
         contact = state.contact
         unknowns, pressures = self.parts(state)
-        state.residual[:] = self.pressures.volumes.balanced(self.load, pressures)
+        state.residual[:] = self.volumes.balanced(self.load, pressures)
         halves = matrix.shared_arrays
         arguments = contact.contact_of, *contact.node_data, unknowns, state.residual
         matrix.sweep(projected_sweeps.backward, *halves, *arguments, backward=True)

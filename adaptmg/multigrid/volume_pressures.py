@@ -1,12 +1,12 @@
 r"""The pressures of the groups of :mod:`adaptmg.discrete.volumes` in solvers.
 
-VolumePressures carries them through the cycles of one level. A cycle is the ordinary truncated one
-on K' with the load f - B'p; after its correction
+In :class:`~adaptmg.multigrid.truncated_step.TruncatedStep` a cycle is the ordinary truncated one on
+K' with the load f - B'p; after its correction
 
 .. math:: p \leftarrow p + \theta\,\frac{b\,u - p/\kappa}{1/\kappa + 1/(\lambda_1 + \mu)},\qquad \theta = 1,
 
-:math:`\theta = 1/2` for two steps after the contact status has changed. The recombination of
-:class:`~adaptmg.multigrid.truncated_step.TruncatedStep` takes u and p together: what the volumes miss counts with the
+:math:`\theta = 1/2` for two steps after the contact status has changed. The recombination
+takes u and p together: what the volumes miss counts with the
 energy :math:`A\,(\lambda_1 + \mu)\,(b\,u - p/\kappa)^2`. A uniform pressure in each body is a
 further direction: steps alone would find the mean pressure of an enclosed body in
 :math:`\kappa/(\lambda_1 + \mu)` cycles. So the number of cycles hardly depends on Poisson's ratio.
@@ -24,71 +24,13 @@ as many digits of the pressures as it has itself."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy import sparse
 
 from adaptmg._checks import indices_frozen
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
-from adaptmg.discrete.volumes import Volumes
+from adaptmg.discrete.volumes import NO_PRESSURES, Volumes
 from adaptmg.multigrid.linear_cycle import least_weights
-
-
-class VolumePressures:
-    """The steps of the pressures (n_groups,) of one level, Pa."""
-
-    #: share of a step after a change of the status, and number of such steps
-    #: CAUTIOUS: half changes 4 of 119 solves, paths and loops, twice 5; cycles 691, 700, 682
-    #: (campaign constants)
-    CAUTIOUS, STEPS = 0.5, 2
-
-    def __init__(self, problem: DiscreteProblem) -> None:
-        """Prepare the steps of a problem, of none if it has no volumes."""
-        volumes = problem.volumes
-        if len(volumes):  # without them the rest takes .2 ms a level, 1 % of a bisected loop
-            # unknowns count from the prescribed values, zero at fixed dofs: what these and initial strains
-            # add to volume strains is ``_prescribed``
-            rows = volumes.rows
-            data = rows.data * ~problem.fixed[rows.indices]
-            rows = sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
-            volumes = replace(volumes, rows=rows, expansion=0.0, prescribed=0.0)
-        self.volumes = volumes
-        #: for each body the pressures (n_groups,) that are 1 in it
-        self.uniform = [(volumes.body == k).astype(float) for k in np.unique(volumes.body)]
-        #: factors (n_groups,) that make energies of the squares of :meth:`missed`, N m
-        self.weights = volumes.areas * volumes.modulus
-        self.pose(problem)
-
-    def pose(self, problem: DiscreteProblem) -> None:
-        """Take over prescribed values and initial strains of another load step."""
-        self._prescribed = problem.volumes.strains(problem.fixed_values)
-
-    def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
-        """Return the volume strains (n_groups,) minus those of the pressures, for unknowns (n_dofs,)
-        from the prescribed values."""
-        return self.volumes.missed(unknowns, pressures) + self._prescribed
-
-    def forces_missed(self, missed: np.ndarray) -> float:
-        """Return the sum of squares of such deviations (n_groups,) as forces, N^2."""
-        forces = self.volumes.scale * missed
-        return float(np.einsum("i,i->", forces, forces))
-
-    def advance(self, unknowns: np.ndarray, pressures: np.ndarray, cautious: bool) -> float:
-        """Change ``pressures`` (n_groups,), in place, towards those of corrected unknowns (n_dofs,), by a
-        part of the step if ``cautious``; return the energy of the whole step, N m."""
-        volumes = self.volumes
-        missed = self.missed(unknowns, pressures)
-        # (b u - p/kappa) / (1/kappa + 1/(lambda_1 + mu))
-        change = missed / (volumes.compliance + 1 / volumes.modulus)
-        energy = float(np.einsum("i,i,i->", volumes.areas, missed, change))
-        pressures += (self.CAUTIOUS if cautious else 1.0) * change
-        return energy
-
-    @property
-    def nonzeros(self) -> int:
-        """Return the number of entries of B."""
-        return self.volumes.rows.nnz
 
 
 def prolonged_pressures(
@@ -96,16 +38,15 @@ def prolonged_pressures(
 ) -> np.ndarray:
     """Return pressures (n_groups coarse,), Pa, interpolated to a finer level, (n_groups fine,); ``nodal`` is
     the prolongation, between bodies of relative values."""
-    if not len(coarse.volumes):
-        return np.zeros(len(fine.volumes))
-    values = coarse.volumes.at_nodes(pressures)
-    # to relative values, and on the finer level back to those of bodies
-    if coarse.coupling is not None:
-        values = values - coarse.coupling.weights @ values
-    values = nodal @ values
-    if fine.coupling is not None:
-        values = fine.coupling.upward @ values
-    return fine.volumes.means @ values
+
+    def to_fine(values: np.ndarray) -> np.ndarray:
+        """Interpolate relative values of nodes, and return those of bodies."""
+        if coarse.coupling is not None:
+            values = values - coarse.coupling.weights @ values
+        values = nodal @ values
+        return values if fine.coupling is None else fine.coupling.upward @ values
+
+    return coarse.volumes.interpolated(pressures, to_fine, fine.volumes)
 
 
 # half and twice change none of 119 solves, paths and loops (campaign constants)
@@ -126,6 +67,12 @@ def _formed(problem: DiscreteProblem) -> tuple[DiscreteProblem, np.ndarray]:
     matrix = indices_frozen(whole.sorted_indices())
     none = Volumes.none(problem.n_nodes, problem.dim)
     return problem.restructured(matrix=matrix, volumes=none), kappa
+
+
+def augmented_problem(problem: DiscreteProblem, pressures: np.ndarray) -> Augmented:
+    """Return a problem as one without volumes, for a solve that begins with these pressures
+    (n_groups,), Pa."""
+    return Augmented(problem, pressures) if len(problem.volumes) else _Unaugmented(problem)
 
 
 class Augmented:
@@ -190,3 +137,17 @@ class Augmented:
         missed = volumes.scale * volumes.missed(solved.reshape(-1), self._start_pressures)
         size = np.linalg.norm(volumes.scale / volumes.modulus * self._start_pressures)
         return float(np.linalg.norm(missed) / size) if size > 0 else np.inf
+
+
+class _Unaugmented(Augmented):
+    """A problem without volumes, which one solve finds."""
+
+    def __init__(self, problem: DiscreteProblem) -> None:
+        self.problem = problem
+        self.exact = True
+
+    def pressures(self, solved: np.ndarray) -> np.ndarray:
+        return NO_PRESSURES
+
+    def whole(self, solved: np.ndarray) -> np.ndarray:
+        return solved

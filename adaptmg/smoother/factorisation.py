@@ -328,6 +328,10 @@ class Condensed(Eliminated):
         rest = self.full.load - self.full.system.matrix @ result
         return result + self.complete(self.reduce(rest)[0], np.zeros_like(unknowns))
 
+    def posing(self, problem: DiscreteProblem) -> Condensed:
+        """Return the condensation of a problem with the same structure."""
+        return replace(self, full=local_system(problem, self.full.system))
+
     @property
     def stiffness(self) -> np.ndarray:
         """Return the diagonal (n_contact, dim) of S, N/m."""

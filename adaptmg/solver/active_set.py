@@ -21,9 +21,9 @@ from adaptmg.discrete.coordinates import rotate
 from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.problem import DiscreteProblem, remembered
 from adaptmg.grids import Grids
-from adaptmg.multigrid.volume_pressures import Augmented
+from adaptmg.multigrid.volume_pressures import Augmented, augmented_problem
 from adaptmg.smoother.conditions import Linearised, hold_all, linearise
-from adaptmg.smoother.factorisation import Condensed, condense, condense_problem
+from adaptmg.smoother.factorisation import Condensed, condense_problem
 from adaptmg.smoother.interior_point import Interior, Span, interior_point
 from adaptmg.smoother.linear import Direct, LinearSolution, LinearSolver, Prepared, solution_of
 from adaptmg.smoother.system import LocalProblem, local_system
@@ -107,39 +107,23 @@ class ActiveSet(checks.Checked):
     def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level, with ``nested_start`` first on the levels below it, from a
         start (n_unknowns,) or as ``start`` of the method says."""
-        if len(hierarchy.finest.discrete.volumes):
-            return self._augmented(hierarchy, run, start)
         finest = len(hierarchy) - 1
         coarsest = finest
         if self.nested_start and start is None:
             hierarchy.need_discretised("the nested start of ActiveSet")
+            hierarchy.finest.discrete.need_no_volumes("the nested start of ActiveSet")
             coarsest = 0
-        for number in range(coarsest, finest + 1):
+        outcome = self._solved(
+            hierarchy[coarsest].discrete, coarsest, start, run, coarsest == finest
+        )
+        for number in range(coarsest + 1, finest + 1):
             level = hierarchy[number]
-            if start is not None and number > coarsest:
-                # the solution of the level below, interpolated
-                start = level.prolongation @ start.reshape(-1, level.discrete.dim)
-                run.visit(number, "start")
-            if self.condensed:
-                # three dense matrices of 8 bytes an entry: that of the contact dofs, its copy
-                # with the conditions of a step, and the factors of the copy
-                entries = (level.discrete.dim * len(level.discrete.contact)) ** 2
-                content = "the dense matrix of the contact nodes (condensed=False does without)"
-                checks.fits("condensed", 24.0 * entries, content)
-            with run.phase("factorise" if self.condensed else "setup"):
-                linear = self.equations(level.discrete, run)
-            newton = _Newton(
-                options=self,
-                linear=linear,
-                run=run,
-                level=number,
-                start=start,
-                finest=number == finest,
-            )
-            state, status, stop = newton.solve(certified=number == finest)
-            start = newton.local.to_cartesian(state.unknowns)
-        solved = cast("np.ndarray", start).reshape(-1)  # of the last level
-        return Outcome(solved, status, state.cycles, self.rtol, stop.error_estimate, stop.rate)
+            # the solution of the level below, interpolated
+            nodal = outcome.solution.reshape(-1, level.discrete.dim)
+            start = (level.prolongation @ nodal).reshape(-1)
+            run.visit(number, "start")
+            outcome = self._solved(level.discrete, number, start, run, number == finest)
+        return outcome
 
     def equations(
         self, problem: DiscreteProblem, run: Run, lenient: bool = False
@@ -150,9 +134,16 @@ class ActiveSet(checks.Checked):
             return condense_problem(problem, lenient)
         return SparseEquations(local_system(problem), self.linear, run)
 
-    def _augmented(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
-        r"""Solve a finest problem with volumes from a start (n_unknowns,), if there is one, by one
-        factorisation and perhaps several solves.
+    def _solved(
+        self,
+        problem: DiscreteProblem,
+        number: int,
+        start: np.ndarray | None,
+        run: Run,
+        is_finest: bool,
+    ) -> Outcome:
+        r"""Solve the problem of level ``number`` from a start (n_unknowns,), if there is one, by one
+        factorisation and with volumes perhaps several solves.
 
         With the symbols of :mod:`adaptmg.multigrid.volume_pressures`, a solve that begins with the
         pressures p_0 finds a displacement u of a problem without volumes, and leaves the pressures
@@ -160,57 +151,52 @@ class ActiveSet(checks.Checked):
         :math:`\tilde\kappa = \kappa`. Otherwise the last solve, which the certificate confirms, is the
         one whose start fulfils :math:`|b\,u - p_0/\kappa| \le rtol\,|p_0|/(\lambda_1 + \mu)`, or the
         ``Augmented.MOST``-th one."""
-        if self.nested_start:
-            raise ValueError(
-                "nested_start=True: ActiveSet has no nested start for smoothed elements with poisson "
-                "above .4; use FullMultigrid"
-            )
-        problem = hierarchy.finest.discrete
-        finest = len(hierarchy) - 1
+        if self.condensed:
+            # three dense matrices of 8 bytes an entry: that of the contact dofs, its copy with the
+            # conditions of a step, and the factors of the copy
+            entries = (problem.dim * len(problem.contact)) ** 2
+            content = "the dense matrix of the contact nodes (condensed=False does without)"
+            checks.fits("condensed", 24.0 * entries, content)
+        displacement: np.ndarray | Any = None
         pressures = np.zeros(len(problem.volumes))
         if start is not None:
-            start, pressures = problem.parts(start)
+            displacement, pressures = problem.parts(start)
         cycles = 0
         first_cycle = run.first_cycle
         past_pressures: list[tuple[np.ndarray, np.ndarray]] = []
-        with run.phase("setup"):
-            local_of_start = local_system(Augmented(problem, pressures).problem)
-        with run.phase("factorise"):
-            condensed = condense(local_of_start) if self.condensed else None
+        augmented = augmented_problem(problem, pressures)
+        with run.phase("factorise" if self.condensed else "setup"):
+            linear = self.equations(augmented.problem, run)
         for solve in range(Augmented.MOST):
-            augmented = Augmented(problem, pressures)
-            local = local_system(augmented.problem, local_of_start.system)
-            linear = (
-                SparseEquations(local, self.linear, run)
-                if condensed is None
-                else replace(condensed, full=local)
-            )
             # before the first solve the start may be a given one, which was solved for another load
-            volumes_met = solve > 0 and augmented.missed(cast("np.ndarray", start)) <= self.rtol
+            volumes_met = solve > 0 and augmented.missed(displacement) <= self.rtol
             is_last = augmented.exact or volumes_met or solve == Augmented.MOST - 1
             newton = _Newton(
-                options=replace(self, max_steps=self.max_steps - cycles),
+                options=self,
                 linear=linear,
                 run=run,
-                level=finest,
-                start=start,
-                finest=True,
+                level=number,
+                start=displacement,
+                most=self.max_steps - cycles,
+                finest=is_finest,
                 whole=augmented.whole,
             )
             # a solve counts its steps from zero, the history those of all solves together
             run.first_cycle = first_cycle + cycles
-            state, status, stop = newton.solve(certified=is_last)
+            state, status, stop = newton.solve(certified=is_finest and is_last)
             cycles += state.cycles
-            start = local.to_cartesian(state.unknowns)
-            pressures = augmented.pressures(start)
+            displacement = newton.local.to_cartesian(state.unknowns)
+            pressures = augmented.pressures(displacement)
             if is_last:
                 break
             if cycles >= self.max_steps:
                 status = Status.LIMIT
                 break
             pressures = augmented.accelerated(pressures, past_pressures)
+            augmented = Augmented(problem, pressures)
+            linear = linear.posing(augmented.problem)
         run.first_cycle = first_cycle
-        solution = np.append(cast("np.ndarray", start), pressures)  # of the last solve
+        solution = np.append(displacement, pressures)
         return Outcome(solution, status, cycles, self.rtol, stop.error_estimate, stop.rate)
 
 
@@ -285,18 +271,20 @@ class _Newton:
         run: Run,
         level: int,
         start: np.ndarray | None,
+        most: int,
         finest: bool = False,
         whole: Callable[[np.ndarray], np.ndarray] = np.asarray,
     ) -> None:
-        """Prepare steps from ``start`` (n_dofs,), Cartesian; without it the option ``start`` says where
-        they begin. ``linear`` has the equations of a step, on the contact dofs or on all. ``finest``:
-        the run records the steps. ``whole`` makes a solution (n_unknowns,) of the posed problem from a
-        displacement (n_dofs,)."""
+        """Prepare at most ``most`` steps from ``start`` (n_dofs,), Cartesian; without it the option
+        ``start`` says where they begin. ``linear`` has the equations of a step, on the contact dofs or
+        on all. ``finest``: the run records the steps. ``whole`` makes a solution (n_unknowns,) of the
+        posed problem from a displacement (n_dofs,)."""
         self.options = options
         self.linear = linear
         self.local = linear.full
         self.run = run
         self.level = level
+        self.most = most
         self.finest = finest
         self.start = start
         self._norms = Measure(self.local, run if finest else None)
@@ -309,7 +297,7 @@ class _Newton:
         if ``certified``, the certificate confirms the end."""
         stop = test(
             self.options.rtol,
-            self.options.max_steps,
+            self.most,
             self._shortfall if certified else None,
             stalled=None,
         )
@@ -392,7 +380,7 @@ class _Newton:
             self.local.contact,
             self.linear.stiffness,
             tolerance,
-            most=min(self.MOST, self.options.max_steps - state.cycles),
+            most=min(self.MOST, self.most - state.cycles),
         )
         _LOG.debug(
             "step %d: an interior point, %.0e, in %d steps",
@@ -452,6 +440,10 @@ class SparseEquations:
         ]  # (n_blocks,): number of the contact node in whose row a block lies, or -1
         self._prepared: Prepared | None = None
         self._prepared_for: Linearised | None = None
+
+    def posing(self, problem: DiscreteProblem) -> SparseEquations:
+        """Return the equations of a problem with the same structure."""
+        return SparseEquations(local_system(problem, self.full.system), self.linear, self.run)
 
     @property
     def stiffness(self) -> np.ndarray:
@@ -633,17 +625,15 @@ def coarsest_solution_near(
 ) -> tuple[np.ndarray, int, float]:
     """Return the solution (n_unknowns,) of a coarsest problem, whose matrix may be singular, from
     which finer levels start; the number of its steps, and its work in passes over its matrix.
-    ``start`` is a displacement near to it (not used with volumes)."""
-    if len(problem.volumes):
-        # one solve from zero pressures: exact up to a Poisson's ratio of .499, and beyond near
-        # enough for a start
-        augmented = Augmented(problem, np.zeros(len(problem.volumes)))
-        solution, steps, passes = coarsest_solution_near(augmented.problem, rtol, None)
-        return augmented.whole(solution), steps, passes
+    ``start`` is a displacement near to it."""
+    # one solve from zero pressures: exact up to a Poisson's ratio of .499, and beyond near enough for a
+    # start
+    augmented = augmented_problem(problem, np.zeros(len(problem.volumes)))
     # of scalar problems all nodes may touch: nothing is condensed
     options = ActiveSet(rtol=rtol, condensed=problem.dim > 1)
-    run = Run(unit=problem.rows.nonzeros)  # a work unit is a pass over this matrix
-    linear = options.equations(problem, run, lenient=True)
-    newton = _Newton(options, linear, run, level=0, start=start)
+    run = Run(unit=augmented.problem.rows.nonzeros)  # a work unit is a pass over this matrix
+    linear = options.equations(augmented.problem, run, lenient=True)
+    newton = _Newton(options, linear, run, level=0, start=start, most=options.max_steps)
     state, *_ = newton.solve(certified=False, test=_CoarsestTest)
-    return newton.local.to_cartesian(state.unknowns).reshape(-1), state.cycles, run.work_units
+    solution = augmented.whole(newton.local.to_cartesian(state.unknowns).reshape(-1))
+    return solution, state.cycles, run.work_units

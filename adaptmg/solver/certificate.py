@@ -514,11 +514,8 @@ class Evidence:
     def volumes(self) -> tuple[Condition, ...]:
         """Return the deviations of the pressures of groups from their mean volume strains, as forces
         on a facet."""
-        volumes = self.problem.volumes
-        if not len(volumes):
-            return ()
-        missed = volumes.missed(self.unknowns.reshape(-1), self.pressures)
-        return (self._forces("volumes", volumes.scale * missed),)
+        missed = self.problem.volumes.conditions(self.unknowns.reshape(-1), self.pressures)
+        return tuple(self._forces(name, forces) for name, forces in missed.items())
 
     def prescribed(self) -> Condition:
         """Return the deviations from the prescribed values."""

@@ -280,16 +280,14 @@ def correction(
     energy (N m) of the negligible error (_SURER). A residual whose norm is at most ``rounding`` loads
     no motion."""
     status.project(residual)
-    load = residual.reshape(-1)
-    if len(problem.volumes):
-        # -A (b v - p/kappa)
-        load = np.append(load, -problem.volumes.areas * missed)
+    load = problem.volumes.right_side(residual.reshape(-1), missed)
     size = load @ load
     if not 0.0 < size < np.inf:  # nothing is missed, or the displacement has diverged
         none = np.zeros((len(status.nodes), problem.dim))
         return HeldCorrection(0.0 if size == 0.0 else np.inf, none, none)
     if aggregates is not None:
-        estimate, settled = _estimated(_Equations(problem, status, aggregates), load, negligible)
+        kind = _EquationsWithVolumes if len(problem.volumes) else _Equations
+        estimate, settled = _estimated(kind(problem, status, aggregates), load, negligible)
         if settled or problem.n_dofs > FACTORISED[problem.dim]:
             return estimate
     return _factorised(problem, status, load, rounding)
@@ -317,20 +315,21 @@ class _Direction:
 
 
 class _Equations:
-    """The equations of a status, in ``n`` displacements and the pressures; the signs of those of volumes
-    make them positive. At most ``most`` steps are taken."""
+    """The equations of a status, in ``n`` displacements. At most ``most`` steps are taken, none from a
+    residual r with r.Pr at most ``least``, P the preconditioner."""
+
+    least = 0.0
 
     def __init__(
         self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates
     ) -> None:
         self.n = problem.n_dofs
         self.status = status
-        self.volumes = problem.volumes
         self.precondition = _Preconditioner(problem, status, aggregates)
-        self.symmetric = not len(self.volumes) and not status.dragged.any()
+        self.symmetric = not status.dragged.any()
         self.most = _MOST if self.symmetric else _MOST_COULOMB
-        if len(self.volumes):
-            self.most = _MOST_VOLUMES
+        self._ritz_root = np.zeros((_MOST, _MOST))  # R of settled_energy
+        self._ritz = np.inf
 
     def direction(self, residual: np.ndarray) -> tuple[_Direction, Callable[[_Direction], float]]:
         """Return the preconditioned residual (n,), of displacements and pressures, as a direction (z, q),
@@ -348,19 +347,7 @@ class _Equations:
         forces.reshape(shape)[status.nodes] += np.einsum(
             "nij,nj->ni", status.stiffening, z_at_contact
         )
-        gradient = None
-        if len(self.volumes):
-            areas = self.volumes.areas
-            soft = areas * self.volumes.compliance  # A/kappa
-            strains = self.volumes.rows @ z  # B z
-            # (rho + B z) / (A/kappa + A/(lambda_1 + mu))
-            q = (residual[self.n :] + strains) / (soft + areas / self.volumes.modulus)
-            values[self.n :] = q
-            gradient = np.append(forces, soft * q)
-            of_pressures = self.volumes.forces(q)
-            forces += of_pressures
-            forces_at_contact += of_pressures.reshape(shape)[status.nodes]
-            image[self.n :] = soft * q - strains
+        gradient = self.add_pressures(residual, values, image, forces_at_contact)
         by_node = forces.reshape(shape)
         drag = np.einsum("nij,nj->ni", status.dragged, forces_at_contact)
         by_node[status.nodes] += drag
@@ -376,6 +363,92 @@ class _Equations:
         return _Direction(
             values, image, np.stack([z_at_contact, forces_at_contact])
         ), energy_product
+
+    def add_pressures(
+        self,
+        residual: np.ndarray,
+        values: np.ndarray,
+        image: np.ndarray,
+        forces_at_contact: np.ndarray,
+    ) -> np.ndarray | None:
+        """Complete the values, the image and the forces of a direction, which comes with its
+        displacement alone, by its pressures; return its gradient, None without pressures."""
+        return None
+
+    def settled_energy(
+        self, energies: list[float], column: np.ndarray, product: float, negligible: float
+    ) -> float | None:
+        """Return the energy of a solution and what its residual may hold, if the last step has settled it:
+        where the least Ritz value has settled, and the energy that the residual may hold is small, or an
+        energy up to some multiples of ``negligible``, N m (_SURER); else None. ``energies``: those after
+        each step; ``column`` and ``product``: the energy products of the last direction with all, and its
+        r.Pr."""
+        # the vectors P r_k, r_k residuals of unit length r.Pr, are the directions times R, so that the
+        # energy of a combination P r c is |R c|^2: the least Ritz value is the square of the least
+        # singular value of R
+        step = len(energies) - 1
+        energy = energies[-1]
+        self._ritz_root[step - len(column) : step, step - 1] = column / np.sqrt(product)
+        ritz_before = self._ritz
+        singular_values = np.linalg.svd(self._ritz_root[:step, :step], compute_uv=False)
+        self._ritz = singular_values[-1] ** 2
+        # the residual before this step holds at most the energy r.Pr / lambda
+        most_energy = max(energies[-2] + product / self._ritz, energy)
+        missing_energy = most_energy - energy
+        if not self.symmetric:
+            missing_energy = max(missing_energy, abs(energy - energies[-2]))
+        settled = (
+            step >= _LEAST
+            and missing_energy <= _MISSING * energy
+            and self._ritz >= _SETTLED * ritz_before
+        )
+        is_negligible = step > 1 and most_energy <= (min(step, _LEAST) * _SURER) ** 2 * negligible
+        return most_energy if settled or is_negligible else None
+
+
+class _EquationsWithVolumes(_Equations):
+    """The equations of a status in displacements and pressures; the signs of those of volumes make them
+    positive."""
+
+    least = -np.inf  # at first only volumes may miss something
+
+    def __init__(
+        self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates
+    ) -> None:
+        super().__init__(problem, status, aggregates)
+        self.symmetric = False
+        self.most = _MOST_VOLUMES
+        self.volumes = problem.volumes
+
+    def add_pressures(
+        self,
+        residual: np.ndarray,
+        values: np.ndarray,
+        image: np.ndarray,
+        forces_at_contact: np.ndarray,
+    ) -> np.ndarray:
+        forces = image[: self.n]
+        soft = self.volumes.areas * self.volumes.compliance  # A/kappa
+        strains = self.volumes.rows @ values[: self.n]  # B z
+        # (rho + B z) / (A/kappa + A/(lambda_1 + mu))
+        q = (residual[self.n :] + strains) / (soft + self.volumes.areas / self.volumes.modulus)
+        values[self.n :] = q
+        gradient = np.append(forces, soft * q)
+        of_pressures = self.volumes.forces(q)
+        forces += of_pressures
+        by_node = of_pressures.reshape(-1, self.status.projections.shape[1])
+        forces_at_contact += by_node[self.status.nodes]
+        image[self.n :] = soft * q - strains
+        return gradient
+
+    def settled_energy(
+        self, energies: list[float], column: np.ndarray, product: float, negligible: float
+    ) -> float | None:
+        """Return the energy of a solution if the last two steps have hardly changed it, else None."""
+        energy = energies[-1]
+        last_changes = [abs(energy - before) for before in energies[-3:-1]]
+        settled = len(energies) > _LEAST and max(last_changes) <= _CALM * energy
+        return energy if settled else None
 
 
 class _GalerkinSolution:
@@ -446,47 +519,22 @@ def _estimated(
     equations: _Equations, load: np.ndarray, negligible: float
 ) -> tuple[HeldCorrection, bool]:
     """Return a Galerkin solution for a load (n,), of displacements and pressures, and whether further
-    steps would change it little: with volumes where the last two steps have hardly changed its energy;
-    otherwise where the least Ritz value has settled, and the energy that the residual may hold is small.
-    An energy up to some multiples of ``negligible``, N m, ends the steps, too (_SURER)."""
+    steps would change it little; ``negligible`` is an energy, N m, that need not be known."""
     solution = _GalerkinSolution(equations, load)
     energies = [0.0]
-    ritz = np.inf
-    # with P the preconditioner and residuals r_k of unit length r.Pr the vectors P r_k are the
-    # directions times R, so that the energy of a combination P r c is |R c|^2: the least Ritz value
-    # is the square of the least singular value of R
-    R = np.zeros((equations.most, equations.most))
-    for step in range(1, equations.most + 1):
+    for _ in range(equations.most):
         residual = solution.update_residual()
         newest, energy_product = equations.direction(residual)
         product = float(residual[: equations.n] @ newest.values[: equations.n])  # r.Pr
-        if not product > 0.0 and not len(equations.volumes):
+        if product <= equations.least:
             return HeldCorrection(solution.energy, *solution.at_contact), True
         column = solution.extend(newest, energy_product, checks.SIX_DIGITS * product)
         if column is None:
             return HeldCorrection(float("inf"), *solution.at_contact), False
-        energy = solution.energy
-        energies.append(energy)
-        if len(equations.volumes):
-            last_changes = [abs(energy - before) for before in energies[-3:-1]]
-            if step >= _LEAST and max(last_changes) <= _CALM * energy:
-                return HeldCorrection(energy, *solution.at_contact), True
-            continue
-        R[step - len(column) : step, step - 1] = column / np.sqrt(product)
-        ritz_before = ritz
-        ritz = np.linalg.svd(R[:step, :step], compute_uv=False)[-1] ** 2
-        # the residual before this step holds at most the energy r.Pr / lambda
-        most_energy = max(energies[-2] + product / ritz, energy)
-        missing_energy = most_energy - energy
-        if not equations.symmetric:
-            missing_energy = max(missing_energy, abs(energy - energies[-2]))
-        settled = (
-            step >= _LEAST
-            and missing_energy <= _MISSING * energy
-            and ritz >= _SETTLED * ritz_before
-        )
-        if settled or (step > 1 and most_energy <= (min(step, _LEAST) * _SURER) ** 2 * negligible):
-            return HeldCorrection(most_energy, *solution.at_contact), True
+        energies.append(solution.energy)
+        settled = equations.settled_energy(energies, column, product, negligible)
+        if settled is not None:
+            return HeldCorrection(settled, *solution.at_contact), True
     return HeldCorrection(solution.energy, *solution.at_contact), False
 
 
@@ -516,17 +564,12 @@ def _factorised(
     ) @ projection + diagonal_size * (identity - projection)
     shift = np.zeros(len(load))
     shift[:n] = checks.ROUNDING * diagonal_size
-    if len(volumes):
-        equations = sparse.block_array(
-            [
-                [equations, with_drag @ volumes.columns],
-                [
-                    -volumes.rows @ projection,
-                    sparse.diags_array(volumes.areas * volumes.compliance),
-                ],
-            ]
-        )
-    equations = sparse.csc_array(equations)
+    of_pressures = sparse.diags_array(volumes.areas * volumes.compliance)
+    blocks = [
+        [equations, with_drag @ volumes.columns],
+        [-volumes.rows @ projection, of_pressures],
+    ]
+    equations = sparse.block_array(blocks, format="csc")
     factors = splu(equations + sparse.diags_array(shift, format="csc"))
     solution = np.zeros(len(load))
     residual = load

@@ -274,15 +274,15 @@ def handed_over(outcome: Outcome, hierarchy: Grids, run: Run) -> Outcome:
         if outcome.status.ok or outcome.status is Status.ROUNDING:
             return outcome
         outcome.left = most_cycles - outcome.cycles
-    if outcome.left and hierarchy.discretised and not len(problem.volumes):
-        solver = Multigrid(correction=Monotone(), rtol=outcome.rtol, max_cycles=outcome.left)
-        return _continued(outcome, solver, "Monotone", start, hierarchy, run)
     if outcome.left and len(problem.volumes) and len(hierarchy) > 2:
         solver = Multigrid(rtol=outcome.rtol, max_cycles=outcome.left)
         fewer = _fewer_levels(hierarchy)
         return _continued(
             outcome, solver, "Truncated on fewer levels", start=None, hierarchy=fewer, run=run
         )
+    if outcome.left and hierarchy.discretised:  # which refuses volumes
+        solver = Multigrid(correction=Monotone(), rtol=outcome.rtol, max_cycles=outcome.left)
+        return _continued(outcome, solver, "Monotone", start, hierarchy, run)
     return outcome
 
 

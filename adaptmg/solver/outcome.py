@@ -233,7 +233,7 @@ def result_of(
         examined = examiner(outcome.solution, outcome.rtol)
     volumes = grids.finest.discrete.volumes
     _, pressures = grids.finest.discrete.parts(outcome.solution)
-    if len(volumes) and stress_data is not None:
+    if stress_data is not None:
         stress_data = replace(
             stress_data,
             pressure=volumes.of_elements(pressures),

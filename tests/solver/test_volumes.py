@@ -444,7 +444,7 @@ test_refusals = refused(
     ),
     (
         lambda: am.solve(grids(0.45), am.ActiveSet(nested_start=True)),
-        "no nested start for smoothed elements",
+        "nested start of ActiveSet cannot solve for smoothed elements",
     ),
     (lambda: am.solve(grids(0.45), Forgetful()), TypeError, "pressures of .* volumes"),
     (lambda: replace(grids(0.45).finest.discrete, volumes="none"), TypeError, "volumes must be"),
