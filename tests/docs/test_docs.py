@@ -72,6 +72,7 @@ INSIDE = {
     "Arc",
     "BlockRows",
     "Computed",
+    "Condensed",
     "Coupling",
     "EnergyTerms",
     "Factorised",
@@ -88,6 +89,7 @@ INSIDE = {
     "Segment",
     "Slit",
     "SolidDomain",
+    "SparseEquations",
     "TruncatedRun",
     "Volumes",
 }
