@@ -99,7 +99,9 @@ class Grids:
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         checks.flag("contact", contact)
         begin = clock()
-        checked, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
+        checked, matrices = coarse_spaces(
+            discrete.decoupled_rows.matrix, discrete.fixed, prolongations
+        )
         levels = [Level(discrete, None, checked[-1])]
         # coarse levels k, the finest of them first; checked[k] leads from level k to the next finer one
         for k in reversed(range(len(checked))):
@@ -131,7 +133,7 @@ class Grids:
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = clock()
         prolongations = aggregated_prolongations(
-            discrete.matrix,
+            discrete.decoupled_rows.matrix,
             discrete.near_nullspace,
             discrete.fixed,
             checks.integer("max_coarse", max_coarse, 1),

@@ -230,21 +230,24 @@ def held_slaves(
 
     Components that are held are tangential here, as no support holds a normal of a contact node."""
     fixed = fixed.reshape(weights.shape[0], -1)
-    rows = sparse.csr_array(weights[nodes])
-    facing = facing_part(rows)
+    facing = facing_part(sparse.csr_array(weights[nodes]))
     rubs = friction_acts(law, len(nodes)) & (facing.sum(axis=1) > 0)
-    if not len(inclined):
-        # a component is held at the node, and at nothing that it faces
-        held = fixed[nodes] & (facing @ fixed.astype(float) <= checks.SIX_DIGITS)
-        return np.flatnonzero(rubs & held.any(axis=1))
+    of_nodes = _spans(nodes, fixed, inclined)
+    held = np.flatnonzero(rubs & of_nodes.any(axis=(1, 2)))
     # P is the projection of a node, F the weighted sum of the projections of the nodes that it faces. The
     # least eigenvalue is the least t'Ft of unit vectors t that are held at the node: I - P gives others 1
-    identity = np.eye(fixed.shape[1])
-    spans = fixed[:, :, None] * identity + inclined.at(np.arange(len(fixed)))
-    of_facing = (facing @ spans.reshape(len(fixed), -1)).reshape(len(nodes), *identity.shape)
-    P = spans[nodes]
-    least = np.linalg.eigvalsh(P @ of_facing @ P + identity - P)[:, 0]
-    return np.flatnonzero(rubs & (least <= checks.SIX_DIGITS))
+    P = of_nodes[held]
+    faced = np.unique(facing[held].indices)
+    of_faced = _spans(faced, fixed, inclined).reshape(len(faced), fixed.shape[1] ** 2)
+    F = (facing[held][:, faced] @ of_faced).reshape(P.shape)
+    least = np.linalg.eigvalsh(P @ F @ P + np.eye(fixed.shape[1]) - P)[:, 0]
+    return held[least <= checks.SIX_DIGITS]
+
+
+def _spans(nodes: np.ndarray, fixed: np.ndarray, inclined: Inclined) -> np.ndarray:
+    """Return the projections (n, dim, dim) onto the directions that supports hold at nodes (n,), from the
+    mask ``fixed`` (n_nodes, dim) of axes."""
+    return fixed[nodes][:, :, None] * np.eye(fixed.shape[1]) + inclined.at(nodes)
 
 
 class Computed(dict):
@@ -339,8 +342,20 @@ class Unknowns:
     def held_spans(self, nodes: np.ndarray) -> np.ndarray:
         """Return the projections (n, dim, dim) onto the directions along which supports hold
         nodes."""
-        held = self.held.reshape(-1, self.dim)[nodes]
-        return held[:, :, None] * np.eye(self.dim) + self.inclined.at(nodes)
+        return _spans(nodes, self.held.reshape(-1, self.dim), self.inclined)
+
+    def free_spans(self, nodes: np.ndarray) -> np.ndarray:
+        """Return the projections (n, dim, dim) onto the directions along which neither supports nor ties
+        hold nodes."""
+        # a tied node, all of whose dofs are fixed, may be one of the inclined nodes
+        free = ~self.fixed.reshape(-1, self.dim)[nodes]
+        return free[:, :, None] * (np.eye(self.dim) - self.inclined.at(nodes))
+
+    @remembered_of_structure
+    def fixed_nodes(self) -> np.ndarray:
+        """Return the nodes (n,) that supports or ties hold along any direction, ascending."""
+        # 0.1 ms for 263k nodes, by any(axis=1) 3.3 ms
+        return np.union1d(np.flatnonzero(self.fixed) // self.dim, self.inclined.nodes)
 
     def free_part(self, vector: np.ndarray) -> np.ndarray:
         """Return a vector (n_dofs,) or (n_nodes, dim) without its parts along fixed dofs and along
@@ -371,6 +386,7 @@ class Unknowns:
         """Return the inverse of :meth:`from_prescribed` of a flat ``change``."""
         result = change.copy()
         unknowns, _ = self.parts(result)
+        self.inclined.remove_held(unknowns)  # corrections may have such parts
         unknowns += self.fixed_values
         return result
 
@@ -411,7 +427,8 @@ class Unknowns:
             return result
         weights = self.coupling.weights[nodes]
         result -= weights @ displacement
-        free = self.inclined.free_part(np.where(self.held, 0.0, displacement.reshape(-1)))
+        free = np.where(self.held, 0.0, displacement.reshape(-1))
+        self.inclined.remove_held(free)
         negative_weights = weights - facing_part(weights)
         free_of_taken_over = negative_weights @ free.reshape(displacement.shape)
         result += np.einsum("nij,nj->ni", self.held_spans(nodes), free_of_taken_over)

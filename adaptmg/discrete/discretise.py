@@ -22,15 +22,14 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread
-from adaptmg.discrete.contact_nodes import check_bounds, check_size, largest_entry
+from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size, largest_entry
 from adaptmg.discrete.coordinates import friction_acts
 from adaptmg.discrete.elasticity import motions_at, repeated_rows
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.obstacles import check_held
 from adaptmg.discrete.posed import Posed, nodal_law
-from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.problem import DiscreteProblem, EnergyTerms
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import EnergyTerms
 from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
@@ -128,12 +127,12 @@ def _matrix_part(
     a lattice, its ``rows``, of which all but those near its sides are the same.
 
     The matrix is returned where springs add to it, where the weights ``follows`` of slave and tied nodes
-    or inclined supports change its coordinates, where ``effective`` makes the matrix of a time step of
+    change its coordinates, where ``effective`` makes the matrix of a time step of
     it, and where bodies are inelastic, whose tangents differ from row to row."""
     problem = posed.problem
     springs = any(isinstance(support, Spring | PointSpring) for support in problem.supports)
     coupled = posed.rows.follows is not None
-    if not (springs or coupled or len(posed.inclined) or problem.inelastic or effective):
+    if not (springs or coupled or problem.inelastic or effective):
         rows = repeated_rows(posed.mesh, posed.materials, problem.elements)
         if rows is not None:
             return {"rows": rows}
@@ -191,5 +190,5 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
         if terms is not None:
             strains["strain_free"] = terms._replace(load=old.relative_forces(terms.load))
         check_size("load", largest_entry(load))
-        parts |= old.parts_under(load, old.fixed_values, **strains)
+        parts |= strains | {"load": bounded("load", load, (old.n_dofs,))}
     return old.posing(**parts)

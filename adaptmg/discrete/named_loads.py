@@ -16,9 +16,9 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.posed import Posed
-from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.problem import DiscreteProblem, EnergyTerms
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import EnergyTerms, Held
+from adaptmg.discrete.supports import Held
 from adaptmg.problem.load_path import DEFAULT
 from adaptmg.problem.loads import InitialStrain, Preload
 
@@ -170,6 +170,6 @@ def whole_load(discrete: DiscreteProblem) -> LoadSteps:
     dofs = np.flatnonzero(discrete.fixed_values)
     return LoadSteps(
         n_dofs=discrete.n_dofs,
-        loads={DEFAULT: discrete.whole_load},
+        loads={DEFAULT: discrete.load},
         prescribed={DEFAULT: (dofs, discrete.fixed_values[dofs])},
     )

@@ -136,12 +136,7 @@ class InelasticBodies:
         # f - f_int = f - K u + sum V B' rho, rho = C B u - sigma
         relaxed = np.einsum("nij,nj->ni", self.elastic, strain) - stress
         forces = self.strains.T @ (self.measures[:, None] * relaxed).reshape(-1)
-        # f - K u with the rows along inclined supports, which are eliminated from the elastic problem with
-        # their prescribed values: the problem of the tangent eliminates its own rows again
-        elastic = problem.inclined.imbalance(
-            problem.residual(displacement), displacement, problem.fixed_values
-        )
-        missed = elastic + problem.relative_forces(forces)
+        missed = problem.residual(displacement) + problem.relative_forces(forces)
         return Response(displacement, stress, tangent, new_state, missed)
 
     def linearised(self, problem: DiscreteProblem, response: Response) -> DiscreteProblem:
@@ -156,15 +151,12 @@ class InelasticBodies:
         )
         if problem.coupling is not None:
             matrix = problem.coupling.transformed(matrix)
-        load = matrix @ response.displacement + response.missed  # f + K_t u - f_int(u)
-        parts = {
-            "matrix": matrix,
-            "load": load,
-            "fixed_values": problem.fixed_values,
-            "volumes": problem.volumes,
-            "strain_free": None,
-        }
-        return problem.restructured(**problem.inclined.of_problem(parts), inelastic=False)
+        return problem.restructured(
+            matrix=matrix,
+            load=matrix @ response.displacement + response.missed,  # f + K_t u - f_int(u)
+            strain_free=None,
+            inelastic=False,
+        )
 
     def _material(
         self, strain: np.ndarray, state: np.ndarray

@@ -16,7 +16,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial, wraps
-from typing import Any, ClassVar, TypeVarTuple
+from typing import Any, ClassVar, NamedTuple, TypeVarTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,11 +45,21 @@ from adaptmg.discrete.coordinates import (
     remembered_of_structure,
 )
 from adaptmg.discrete.elasticity import ALL_NODES, rigid_body_modes
-from adaptmg.discrete.supports import EnergyTerms, Inclined
+from adaptmg.discrete.supports import Inclined
 from adaptmg.discrete.volumes import Volumes
 from adaptmg.problem.laws import Frictionless, Law, check_law, follows_state, friction_at
 
 Others = TypeVarTuple("Others")
+
+
+class EnergyTerms(NamedTuple):
+    """The terms that u'Au lacks of twice the energy of the stresses of a displacement u: this is u'Au -
+    2 u . load + constant.
+
+    Initial strains eps_0 have the load of int C eps_0 : eps(v) and the constant int C eps_0 : eps_0."""
+
+    load: np.ndarray  # (n_dofs,), N
+    constant: float  # N m
 
 
 def near_nullspace_at(
@@ -147,7 +157,7 @@ class DiscreteProblem(Unknowns):
     bodies: Mapping[str, np.ndarray] | None = None  # nodes of each body by name, for messages
     # terms that u'Au lacks of twice the energy of the stresses, see EnergyTerms; None without them
     strain_free: EnergyTerms | None = None
-    inclined: Inclined  # supports along directions that are not axes, which are eliminated from matrix and load
+    inclined: Inclined  # what supports hold along directions that are not axes
     # slave and master boundary, slave nodes (n,) whose relative displacement is fixed to zero, and all nodes
     # (m,) of the slave boundary
     ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...] = ()
@@ -255,10 +265,9 @@ class DiscreteProblem(Unknowns):
         """Return the problem of arrays that the package has assembled: they are neither copied nor
         checked. ``weights`` are those of :meth:`coupled`. ``motions`` computes ``near_nullspace`` in
         displacements, (n, dim, k) at some nodes, where that is not given. ``rows`` may take the place of
-        ``matrix`` if neither weights nor inclined supports change it."""
+        ``matrix`` if no weights change it."""
         if weights is not None:
             parts = _in_relative_coordinates(weights, parts)
-        parts = parts["inclined"].of_problem(parts)
         motions = parts.pop("motions", None)
         if "matrix" in parts:
             parts["matrix"] = checks.indices_frozen(parts["matrix"])
@@ -275,11 +284,9 @@ class DiscreteProblem(Unknowns):
         they face, with row sums 1. ``contact`` are the slave nodes; their gaps and slips are
         relative. ``near_nullspace`` should hold the rigid-body modes of every body (one column a
         body and mode); with ``coordinates`` alone the bodies move together in it. ValueError if
-        this problem has a coupling or inclined supports already."""
-        if self.coupling is not None or len(self.inclined):
-            raise ValueError(
-                "only a problem in displacements can be coupled, not with coupling or inclined supports"
-            )
+        this problem has a coupling already."""
+        if self.coupling is not None:
+            raise ValueError("only a problem in displacements can be coupled, not with coupling")
         given = checks.sparse_matrix("weights", weights, (self.n_nodes, self.n_nodes))
         rows = sparse.csr_array(given, dtype=np.float64)  # pyright: ignore[reportCallIssue, reportArgumentType]  scipy-stubs
         _check_row_sums(rows)
@@ -334,27 +341,13 @@ class DiscreteProblem(Unknowns):
             # only along what is held: fixed dofs and inclined directions
             prescribed = fixed_values - self.free_part(fixed_values)
             values = bounded("fixed_values", prescribed, (self.n_dofs,))
-        return self.posing(contact=contact, **self.parts_under(load, values, strain_free, volumes))
-
-    def parts_under(
-        self,
-        load: np.ndarray,
-        fixed_values: np.ndarray,
-        strain_free: EnergyTerms | None,
-        volumes: Volumes,
-    ) -> dict[str, Any]:
-        """Return the parts of this problem under a load (n_dofs,), N, and prescribed displacements
-        (n_dofs,), m: ``load``, ``fixed_values``, ``strain_free`` and ``volumes``, and ``inclined`` where
-        inclined supports are eliminated (:meth:`Inclined.eliminate_prescribed`)."""
-        parts = self.inclined.eliminate_prescribed(
-            {
-                "load": load,
-                "fixed_values": fixed_values,
-                "strain_free": strain_free,
-                "volumes": volumes,
-            }
+        return self.posing(
+            contact=contact,
+            load=bounded("load", load, (self.n_dofs,)),
+            fixed_values=values,
+            strain_free=strain_free,
+            volumes=volumes,
         )
-        return parts | {"load": bounded("load", parts["load"], (self.n_dofs,))}
 
     def posing(self, **parts: object) -> DiscreteProblem:
         """Return the problem with other parts (load, law, ...), which have been checked."""
@@ -465,9 +458,10 @@ class DiscreteProblem(Unknowns):
         return len(self.fixed)
 
     @property
-    def whole_load(self) -> np.ndarray:
-        """Return the load (n_dofs,), N, with its parts along inclined directions that supports hold."""
-        return self.inclined.load if len(self.inclined) else self.load
+    def decoupled_rows(self) -> BlockRows:
+        """Return the rows of the matrix that solvers take: that of :mod:`adaptmg.discrete.supports` with
+        the directions decoupled along which inclined supports hold nodes."""
+        return _decoupled_rows(self) if len(self.inclined) else self.rows
 
     @property
     def n_unknowns(self) -> int:
@@ -500,6 +494,12 @@ def remembered(
 def _rows_of_matrix(problem: DiscreteProblem) -> BlockRows:
     """Return the rows of a stored matrix, which all steps of a load path share."""
     return BlockRows.of(problem.matrix)
+
+
+@remembered_of_structure
+def _decoupled_rows(problem: DiscreteProblem) -> BlockRows:
+    """Return the rows with the directions of inclined supports decoupled."""
+    return BlockRows.of(problem.inclined.decoupled(problem.matrix))
 
 
 def _check_row_sums(weights: sparse.csr_array) -> None:

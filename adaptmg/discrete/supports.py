@@ -2,34 +2,31 @@ r"""The nodes and dofs that supports and springs hold, also along directions tha
 axes.
 
 With the projection :math:`Z_i` onto the directions along which inclined supports hold node i, and
-the displacement
-:math:`\bar u_i` that they prescribe along them, the problem in relative coordinates
+the displacement :math:`\bar u` that supports prescribe, the unknowns :math:`w = u - \bar u`, which have
+no parts along what is held, solve
 
-.. math:: A' = (I - Z)\,A\,(I - Z) + Z D Z,\qquad b' = (I - Z)\,(b - A \bar u) + Z D \bar u
+.. math:: A' w = (I - Z)\,(b - A \bar u),\qquad A' = (I - Z)\,A\,(I - Z) + Z D Z.
 
-has the solution of :math:`A u = b` with :math:`Z u = \bar u`: these components are coupled to no
-other, and solvers need not know of them. D has the size of the diagonal blocks. The supports exert
-:math:`Z (A u - b)`. Volumes (:mod:`adaptmg.discrete.volumes`) have :math:`B (I - Z)` for B and
-:math:`B \bar u` as a given strain; there the supports exert :math:`Z (A u + B^T p - b)`. The energy
-of a displacement is that of A,
-
-.. math:: u^T A u = u^T A' u + 2\,u^T (I - Z) A \bar u + \bar u^T A \bar u - \bar u^T D \bar u .
+In frames at the nodes whose first axes span what is held, A' is A with the rows and columns of
+these local components decoupled, as those of dofs fixed along axes are. Turned back, it has
+Cartesian components like all else, and solvers need not know of the frames. D has the size of the
+diagonal blocks. Matrix, load and volumes of a problem are without any of this: the supports exert
+:math:`Z (A u + B^T p - b)`, and the energy is :math:`u^T A u`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.elasticity import dofs_of, nodal_matrix
+from adaptmg.discrete.elasticity import nodal_matrix
 from adaptmg.discrete.periodic import originals
-from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import (
@@ -43,17 +40,6 @@ from adaptmg.problem.loads import (
 )
 
 
-class EnergyTerms(NamedTuple):
-    """The terms that u'Au lacks of twice the energy of the stresses of a displacement u: this is u'Au -
-    2 u . load + constant.
-
-    Initial strains eps_0 have the load of int C eps_0 : eps(v) and the constant int C eps_0 : eps_0;
-    displacements that inclined supports prescribe add to both (module docstring)."""
-
-    load: np.ndarray  # (n_dofs,), N
-    constant: float  # N m
-
-
 @dataclass(frozen=True, eq=False)
 class Inclined:
     """The nodes that supports hold along directions that are not axes. Their fixed components count
@@ -62,12 +48,6 @@ class Inclined:
     nodes: np.ndarray  # (k,) int, ascending
     spans: np.ndarray  # (k, dim, dim): Z
     moved: Mapping[str, np.ndarray]  # (k, dim) by name in a load path: parts of ubar, m
-    #: (k * dim, n_dofs): of A
-    rows: sparse.csr_array = field(default_factory=lambda: sparse.csr_array((0, 0)))
-    stiffness: np.ndarray = field(default_factory=lambda: np.empty(0))  # (k,): D
-    load: np.ndarray = field(default_factory=lambda: np.empty(0))  # (n_dofs,): b
-    #: (n_groups, n_dofs): B
-    volumes: sparse.csr_array = field(default_factory=lambda: sparse.csr_array((0, 0)))
 
     @classmethod
     @cache
@@ -81,22 +61,14 @@ class Inclined:
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Return the projections (n, dim, dim) at some nodes, zero where no direction is held."""
         result = np.zeros((len(nodes), *self.spans.shape[1:]))
-        if not len(self):
-            return result
-        inclined = np.isin(nodes, self.nodes)
+        inclined = np.flatnonzero(np.isin(nodes, self.nodes))
         result[inclined] = self.spans[np.searchsorted(self.nodes, nodes[inclined])]
         return result
 
-    def free_part(self, vector: np.ndarray) -> np.ndarray:
-        """Return a vector (n_dofs,) without its parts along the directions that are held."""
-        return self.remove_held(vector.copy())
-
-    def remove_held(self, vector: np.ndarray) -> np.ndarray:
-        """Remove from a vector (n_dofs,), in place, its parts along the directions that are held, and
-        return it."""
+    def remove_held(self, vector: np.ndarray) -> None:
+        """Remove from a vector (n_dofs,), in place, its parts along the directions that are held."""
         if len(self):  # 5 us with no nodes
             vector.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
-        return vector
 
     def along(self, vector: np.ndarray) -> np.ndarray:
         """Return the parts (k, dim) of a vector (n_dofs,) along the directions that are held."""
@@ -104,89 +76,20 @@ class Inclined:
             "nij,nj->ni", self.spans, vector.reshape(-1, self.spans.shape[1])[self.nodes]
         )
 
-    def of_problem(self, parts: dict[str, Any]) -> dict[str, Any]:
-        """Return the parts of a problem, in relative coordinates, with these directions eliminated:
-        the matrix A', the rows B (I - Z) of volumes, and the parts of :meth:`eliminate_prescribed`."""
-        if not len(self):
-            return parts
-        matrix = parts["matrix"]
+    def decoupled(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
+        """Return A' of a matrix A (n_dofs, n_dofs)."""
         size = matrix.blocksize
         n = matrix.shape[0]
-        dim = self.spans.shape[1]
-        rows = sparse.csr_array(sparse.csr_array(matrix)[dofs_of(self.nodes, dim)])
         # D, of the size of the diagonal blocks
-        stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
-        volumes = parts["volumes"]
-        supports = replace(self, rows=rows, stiffness=stiffness, volumes=volumes.rows)
-        held = sparse.csr_array(nodal_matrix(self.nodes, self.spans, n))
-        held_stiffness = nodal_matrix(self.nodes, stiffness[:, None, None] * self.spans, n)
+        diagonal = np.abs(matrix.diagonal()).reshape(-1, size[0])
+        stiffness = diagonal[self.nodes].mean(axis=1)[:, None, None]
+        held_stiffness = nodal_matrix(self.nodes, stiffness * self.spans, n)
+        held = nodal_matrix(self.nodes, self.spans, n)
         free = sparse.bsr_array(sparse.eye_array(n) - held, blocksize=size)
-        # half of A' = (I - Z) A (I - Z) + Z D Z; its sum with its transpose is symmetric to the bit
+        # half of A'; its sum with its transpose is symmetric to the bit
         half = sparse.bsr_array(0.5 * (free @ matrix @ free + held_stiffness), blocksize=size)
-        eliminated = sparse.bsr_array(half + half.T, blocksize=size).sorted_indices()
-        # B (I - Z)
-        free_rows = sparse.csr_array(volumes.rows - volumes.rows @ held)
-        changed = {
-            "matrix": checks.narrowed(eliminated),
-            "volumes": replace(volumes, rows=checks.narrowed(free_rows)),
-        }
-        return supports.eliminate_prescribed(parts | changed)
-
-    def eliminate_prescribed(self, parts: dict[str, Any]) -> dict[str, Any]:
-        """Return the parts of a problem with the matrix A' from those with A. The displacement ubar, which
-        supports prescribe along these directions, is a part of ``fixed_values``. This changes
-
-        - ``load`` to b'; ``inclined`` stores b,
-        - ``volumes``, which get the mean strains of ubar,
-        - ``strain_free``, unless ubar = 0: the terms by which u'A'u and u'Au differ are added."""
-        if not len(self):
-            return parts
-        values = parts["fixed_values"]
-        along = self.along(values)
-        prescribed = values - self.free_part(values)  # ubar
-        forces = self.rows.T @ along.reshape(-1)  # A ubar
-        held = np.zeros_like(forces)  # Z D ubar
-        held.reshape(-1, along.shape[1])[self.nodes] = self.stiffness[:, None] * along
-        terms = parts["strain_free"]
-        if along.any():
-            load, constant = terms or (0.0, 0.0)
-            # u'A u = u'A'u + 2 u . (I - Z) A ubar + ubar'A ubar - ubar'D ubar
-            terms = EnergyTerms(
-                load=load - self.free_part(forces),
-                constant=constant + float(prescribed @ (forces - held)),
-            )
-        volumes = parts["volumes"]
-        return parts | {
-            # b' = (I - Z) (b - A ubar) + Z D ubar
-            "load": self.free_part(parts["load"] - forces) + held,
-            "strain_free": terms,
-            "inclined": replace(self, load=parts["load"]),
-            "volumes": replace(volumes, prescribed=(self.volumes @ prescribed) / volumes.areas),
-        }
-
-    def imbalance(
-        self, residual: np.ndarray, unknowns: np.ndarray, prescribed: np.ndarray
-    ) -> np.ndarray:
-        """Return b - A u (n_dofs,), N, of the residual b' - A' u of unknowns u (n_dofs,), which need
-        not be what supports prescribe (n_dofs,)."""
-        if not len(self):
-            return residual
-        # (I - Z) (b - A u) = (I - Z) (b' - A'u + A Z (ubar - u)), and Z (b - A u)
-        short_of_prescribed = self.along(prescribed - unknowns)
-        forces = residual + self.rows.T @ short_of_prescribed.reshape(-1)
-        return self.free_part(forces) - self.reaction(unknowns, NO_PRESSURES)
-
-    def reaction(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
-        """Return the forces (n_dofs,) that the supports exert along these directions, of the
-        unknowns (n_dofs,) and the pressures (n_groups,) of volumes, N."""
-        result = np.zeros_like(unknowns)
-        if not len(self):
-            return result
-        # Z (A u + B'p - b)
-        load = (self.load - self.volumes.T @ pressures).reshape(-1, self.spans.shape[1])
-        forces = (self.rows @ unknowns).reshape(-1, load.shape[1]) - load[self.nodes]
-        result.reshape(load.shape)[self.nodes] = np.einsum("nij,nj->ni", self.spans, forces)
-        return result
+        whole = sparse.bsr_array(half + half.T, blocksize=size).sorted_indices()
+        return checks.indices_frozen(checks.narrowed(whole))
 
 
 def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -> int:
@@ -477,10 +380,7 @@ class Boundaries:
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Return vectors (n, dim) at some nodes without their parts along directions that supports
         hold."""
-        result = np.where(self.fixed[nodes], 0.0, vectors)
-        if len(self.inclined):
-            result -= np.einsum("nij,nj->ni", self.inclined.at(nodes), vectors)
-        return result
+        return vectors - np.einsum("nij,nj->ni", self.held_spans(nodes), vectors)
 
     def averaged_normals(self, surface: Surface) -> np.ndarray:
         """Return the averaged normals (n_nodes, dim) of a surface, without components along what

@@ -32,9 +32,11 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel, read_only
+from adaptmg.discrete.coordinates import Unknowns
 from adaptmg.discrete.elasticity import (
     element_measures,
     elements_of_nodes,
+    nodal_matrix,
     pattern,
     separate_bodies,
     shape_gradients,
@@ -72,8 +74,6 @@ class Volumes:
     body: np.ndarray  # (n_groups,) int: number of the body that a group belongs to
     corners: np.ndarray  # (n_elements, dim + 1) int32: groups of the corners of elements, or -1
     expansion: np.ndarray | float = 0.0  # (n_groups,): mean trace of initial strains
-    #: (n_groups,): mean divergence of displacements that supports prescribe along inclined directions
-    prescribed: np.ndarray | float = 0.0
 
     @classmethod
     @lru_cache(maxsize=32)  # hierarchies ask for each level many times: .1 ms each
@@ -111,21 +111,22 @@ class Volumes:
         return np.append(forces, -self.areas * missed)
 
     def strains(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the mean divergence (n_groups,) of unknowns (n_dofs,), with that of what inclined supports
-        prescribe, and without that of free expansion."""
-        return (self.rows @ unknowns) / self.areas - self.expansion + self.prescribed
+        """Return the mean divergence (n_groups,) of unknowns (n_dofs,), without that of free expansion."""
+        return (self.rows @ unknowns) / self.areas - self.expansion
 
     def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         """Return the :meth:`strains` minus p / kappa (n_groups,)."""
         missed = (self.rows @ unknowns) / self.areas - self.compliance * pressures
-        return missed + (self.prescribed - self.expansion)
+        return missed - self.expansion
 
-    def from_prescribed(self, fixed: np.ndarray, fixed_values: np.ndarray) -> Volumes:
-        """Return the groups for unknowns that count from prescribed values (n_dofs,) and are zero at dofs
-        in the mask ``fixed`` (n_dofs,)."""
-        data = self.rows.data * ~fixed[self.rows.indices]
-        rows = sparse.csr_array((data, self.rows.indices, self.rows.indptr), shape=self.rows.shape)
-        return replace(self, rows=rows, expansion=0.0, prescribed=self.strains(fixed_values))
+    def from_prescribed(self, problem: Unknowns) -> Volumes:
+        """Return the groups for unknowns that count from prescribed values, and are zero along what is
+        held."""
+        nodes = problem.fixed_nodes()
+        held = np.eye(problem.dim) - problem.free_spans(nodes)
+        rows = self.rows - self.rows @ nodal_matrix(nodes, held, self.rows.shape[1])
+        expansion = -self.strains(problem.fixed_values)
+        return replace(self, rows=checks.narrowed(sparse.csr_array(rows)), expansion=expansion)
 
     @cached_property
     def uniform(self) -> tuple[np.ndarray, ...]:
@@ -205,7 +206,7 @@ class NoVolumes(Volumes):
     def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         return NO_PRESSURES
 
-    def from_prescribed(self, fixed: np.ndarray, fixed_values: np.ndarray) -> Volumes:
+    def from_prescribed(self, problem: Unknowns) -> Volumes:
         return self
 
     def relax(self, unknowns: np.ndarray, pressures: np.ndarray, share: float) -> float:

@@ -271,7 +271,8 @@ class AdjointSystem:
 
     def _load(self, functional: np.ndarray) -> np.ndarray:
         """Return E^T j (n_dofs,) of a functional j."""
-        return np.where(self.trial, self.contact.local(functional), 0.0)
+        free = self.contact.discrete.free_part(functional)
+        return np.where(self.trial, self.contact.local(free), 0.0)
 
     def _field(self, y: np.ndarray) -> np.ndarray:
         """Return the dual field z = T y (n_dofs,), Cartesian."""

@@ -289,12 +289,13 @@ class HalvedError:
         new = np.flatnonzero(trial & (np.arange(len(trial)) >= view.discrete.n_dofs))
         self.new = new
         self.test = sparse.csr_array(test[:, new].T)
-        self.prescribed = np.where(trial, 0.0, _missed(contact))
+        self.prescribed = _missed(contact)
         # the equations A_MM d = (b - A (u_h + g))_M of the new dofs M are, with T and H of
         # adaptmg.estimate.adjoint at slipping nodes, T'(A + H)_MM d = T'(fixed friction - (A u_h - b) - A g).
-        # A g takes the matrix of the problem, as ``matrix`` is decoupled from the dofs that supports hold
+        # A g takes the matrix of the problem, as ``matrix`` is decoupled from what supports hold
         change = contact.discrete.matrix @ contact.cartesian(self.prescribed)
-        load = self.test @ (contact.fixed_friction - contact.local(contact.residual + change))
+        unbalanced = contact.discrete.free_part(contact.residual + change)
+        load = self.test @ (contact.fixed_friction - contact.local(unbalanced))
         matrix = sparse.csr_array(self.test @ matrix[:, new])
         diagonal = matrix.diagonal()
         self.diagonal_error = load / diagonal
@@ -331,7 +332,7 @@ class HalvedError:
         # marks depend on ratios alone: they need no factor 4/3
         parts = np.abs(weighted * self.prescribed)
         parts[self.new] = np.abs(weighted[self.new] * self.diagonal_error)
-        if not dual.field.any() and coarse.vector[~self.view.discrete.fixed].any():
+        if not dual.field.any() and self.view.discrete.free_part(coarse.vector).any():
             # the contact state does not let the quantity change, but a finer mesh may have another state
             parts = self._energy_parts(coarse)
         nodal = parts.reshape(-1, contact.discrete.dim).sum(axis=1)
@@ -362,8 +363,8 @@ def _missed(contact: LinearisedContact) -> np.ndarray:
     """Return what the interpolated displacement misses of prescribed values and, where bodies touch, of
     the gap (n_dofs,), in local components, m; it matters where errors may not move."""
     discrete = contact.discrete
-    missed = np.where(discrete.fixed, discrete.fixed_values - contact.unknowns, 0.0)
-    missed = contact.local(missed).reshape(-1, discrete.dim)
+    missed = discrete.fixed_values - contact.unknowns
+    missed = contact.local(missed - discrete.free_part(missed)).reshape(-1, discrete.dim)
     touches = (contact.state != State.OPEN) & np.isfinite(contact.gap)
     missed[contact.nodes[touches], 0] = contact.gap[touches]
     return missed.reshape(-1)
@@ -392,7 +393,7 @@ def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) ->
     multiplier = contact.local(discrete.matrix @ dual.field - functional.vector)  # lambda*
     multiplier = multiplier.reshape(-1, discrete.dim)[contact.nodes]
     # reactions of supports, in the residual at fixed dofs, are not errors
-    error = -float(dual.field @ np.where(discrete.fixed, 0.0, contact.residual))
+    error = -float(dual.field @ discrete.free_part(contact.residual))
     error += float(contact.fixed_friction @ contact.local(dual.field))
     # nodes with friction alone have no obstacle, and an infinite gap
     touches = (contact.state != State.OPEN) & np.isfinite(contact.gap)

@@ -71,10 +71,9 @@ class GoalView:
 
     def load_of(self, nodal: np.ndarray) -> np.ndarray:
         """Return a functional of the displacement, by its derivatives ``nodal`` (n_nodes, dim), as one
-        (n_dofs,) of the relative coordinates, without parts along inclined directions: supports
-        prescribe the displacement there."""
+        (n_dofs,) of the relative coordinates."""
         flat = np.asarray(nodal, dtype=np.float64).reshape(-1)
-        return self.discrete.inclined.free_part(self.discrete.relative_forces(flat))
+        return self.discrete.relative_forces(flat)
 
     def interpolated(self, coarse: np.ndarray) -> np.ndarray:
         """Return a vector (n_dofs,) of the coarse mesh, relative coordinates, on this one."""

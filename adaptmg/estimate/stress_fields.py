@@ -247,20 +247,7 @@ class Solved:
     @cached_property
     def norm(self) -> float:
         """Return ||u_h||_A, sqrt(N m), of the displacement with prescribed values."""
-        unknowns, forces = self._unknowns_and_forces  # u, and A'u + (B (I - Z))'p
-        # where inclined supports prescribe ubar along Z, the matrix is A' (adaptmg.discrete.supports), and
-        # u'Au = u'A'u - 2 u . load + constant. Asked without terms of initial strains, ``strain_free`` has
-        # this load and constant; like ``volumes`` it follows from u alone, whatever load is passed
-        parts = self.discrete.parts_under(
-            forces, unknowns, strain_free=None, volumes=self.discrete.volumes
-        )
-        terms = parts["strain_free"]
-        if terms is None:  # supports prescribe nothing along them
-            return energy_norm(unknowns, forces)
-        energy = unknowns @ (forces - 2 * terms.load) + terms.constant
-        volumes = parts["volumes"]
-        energy += self.result.pressures @ (volumes.areas * volumes.prescribed)  # p . B ubar
-        return float(np.sqrt(max(energy, 0.0)))
+        return energy_norm(*self._unknowns_and_forces)
 
     @cached_property
     def _unknowns_and_forces(self) -> tuple[np.ndarray, np.ndarray]:
@@ -281,10 +268,9 @@ class Solved:
             raise ValueError(
                 f"result.reaction must have {forces.size} components, got {exerted.shape}"
             )
-        inclined = self.discrete.inclined  # supports bear what is not in the free part
-        of_result = inclined.free_part(forces - self.discrete.relative_forces(exerted))
+        of_result = forces - self.discrete.relative_forces(exerted)
         allowed = checks.SIX_DIGITS * max(euclidean_norm(forces), euclidean_norm(of_result))
-        missed = euclidean_norm(of_result - inclined.free_part(self.discrete.load))
+        missed = euclidean_norm(of_result - self.discrete.load)
         if missed <= allowed:
             return
         # A u, of which the load is a part, is a difference of terms of this size
@@ -292,14 +278,7 @@ class Solved:
         nodal_forces = load_vector(
             self.mesh, self.problem.loads, self.problem.material, self.problem.elements
         )
-        # with the values that the result has along inclined supports
-        parts = self.discrete.parts_under(
-            self.discrete.relative_forces(nodal_forces),
-            unknowns,
-            strain_free=None,
-            volumes=self.discrete.volumes,
-        )
-        missed_of_posed = euclidean_norm(of_result - inclined.free_part(parts["load"]))
+        missed_of_posed = euclidean_norm(of_result - self.discrete.relative_forces(nodal_forces))
         if not min(missed, missed_of_posed) <= max(allowed, rounding):
             raise ValueError(
                 "result has other loads than those of hierarchy.problem: " + _OTHER_STEP

@@ -282,7 +282,7 @@ class March:
         #: Euclidean norm of what rounding of a unit displacement leaves in K u, N/m
         self.rounding = np.finfo(float).eps * euclidean_norm(self.stiffness.diagonal())
         #: the loads f (n_nodes, dim), N
-        self.forces = self.discrete.physical_forces(self.discrete.whole_load).reshape(-1, mesh.dim)
+        self.forces = self.discrete.physical_forces(self.discrete.load).reshape(-1, mesh.dim)
         self.free_pieces = self._free_pieces()
         #: the energy lost so far by cause, N m, and the lengths of the slips so far (n_contact,), m
         self.lost_energies = {"friction": 0.0, "contact": 0.0, "damping": 0.0}
@@ -312,11 +312,10 @@ class March:
 
     def _free_pieces(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return for each connected piece its nodes, and the mask (dim,) of the axes along which
-        certainly nothing holds it: inclined supports and springs count along all axes, as the mask
-        only spares rounding."""
+        certainly nothing holds it: supports count along the axes that their directions have parts of,
+        springs along all, as the mask only spares rounding."""
         problem = self.posed.problem
-        held = self.posed.fixed.copy()
-        held[self.posed.inclined.nodes] = True
+        held = self.posed.held_spans(np.arange(self.posed.mesh.n_nodes)).any(axis=2)
         held[:, 0] |= problem.axisymmetric  # hoop strains resist a radial motion
         for support in problem.supports:
             if isinstance(support, Spring | PointSpring):

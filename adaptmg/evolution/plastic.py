@@ -23,11 +23,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.plasticity import InelasticBodies, Response
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import PlasticState, StressData
-from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.evolution.load_steps import without_nested_start
 from adaptmg.evolution.path_loop import PathLoop, with_values_of
 from adaptmg.grids import Grids
@@ -296,13 +296,12 @@ class _Newton:
         """Go towards the solution (n_unknowns,) of the contact problem of a tangent, and return the change
         over the solution, in the energy norm of the tangent."""
         direction = solution - self.response.displacement  # d = w - u
-        # lambda = A w - b of the tangent, the forces of contact and supports: at other dofs it is the residual
+        # lambda = A w - b of the tangent, the forces of contact and supports: along all else it is the residual
         # that the solver leaves
-        has_forces = tangent.fixed.copy()
-        has_forces.reshape(-1, tangent.dim)[tangent.contact.nodes] = True
-        forces = np.where(has_forces, -tangent.residual(solution), 0.0)
-        # tangents have no volumes: there are no pressures
-        forces += tangent.inclined.reaction(solution, NO_PRESSURES)
+        whole = -tangent.residual(solution)
+        forces = whole - tangent.free_part(whole)
+        of_contact = dofs_of(tangent.contact.nodes, tangent.dim)
+        forces[of_contact] = whole[of_contact]
 
         def slope(response: Response) -> float:
             """Return phi' of the module, d . (f_int - f - lambda): ``missed`` is f - f_int."""

@@ -66,18 +66,15 @@ def _free_combinations(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray
     The modes are computed at held and contact nodes only: at all nodes of all levels they take 4 %
     of hierarchy and solve with 263k nodes, and 24 bytes a dof (48 in 3D)."""
     contact_nodes = problem.contact.nodes
-    # 0.1 ms for 263k nodes, by any(axis=1) 3.3 ms
-    held = np.unique(np.flatnonzero(problem.fixed) // problem.dim)
-    inclined = problem.inclined
-    nodes = np.concatenate([contact_nodes, held, inclined.nodes])
+    held = problem.fixed_nodes()
+    nodes = np.concatenate([contact_nodes, held])
     modes = near_nullspace_at(problem, nodes) if len(contact_nodes) else None
     if modes is None:
         return np.empty((0, 0)), np.empty((len(contact_nodes), problem.dim, 0))
-    of_contact, of_held, of_inclined = np.split(modes, np.cumsum([len(contact_nodes), len(held)]))
-    # what supports hold of the modes: fixed components, and parts along inclined directions
-    rows = of_held[problem.fixed.reshape(-1, problem.dim)[held]]
-    along = np.einsum("nij,njk->nik", inclined.spans, of_inclined)
-    combinations = null_combinations(np.concatenate([rows, along.reshape(-1, modes.shape[2])]))
+    of_contact, of_held = np.split(modes, [len(contact_nodes)])
+    # what supports hold of the modes
+    rows = of_held - problem.free_spans(held) @ of_held
+    combinations = null_combinations(rows.reshape(-1, modes.shape[2]))
     return combinations, of_contact @ combinations
 
 
@@ -147,7 +144,7 @@ class RigidMotions:
         """Return the work (m,) of the load on the motions; None where they strain the body, as user-defined
         modes may."""
         motions = _free_motions(self.problem)
-        forces = self.problem.matrix @ motions
+        forces = self.problem.decoupled_rows.matrix @ motions
         forces[self.problem.fixed] = 0.0
         scale = np.abs(self.problem.matrix.diagonal()).max() * np.abs(motions).max(axis=0)
         strain = (np.abs(forces).max(axis=0) > checks.ALIKE * scale).any()

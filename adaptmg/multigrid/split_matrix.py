@@ -350,7 +350,7 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
     symmetric, and one half of it is stored. Idle nodes of a level are those that no node of the next
     finer one is interpolated from."""
     fine = hierarchy.finest.discrete
-    rows = fine.rows
+    rows = fine.decoupled_rows
     result = [split(rows, fine.fixed, symmetric=len(hierarchy) > 1)]
     # the prolongation of the last product, whose idle nodes the next product leaves out; None after a
     # discretised matrix, which has none
@@ -371,10 +371,10 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
         # all levels above a discretised one are discretised, too. By construction the coarse matrix is the
         # Galerkin one of the discretised finer matrix, not of a product that took its place
         if not coarse.between_bodies and (
-            (rows is above.discrete.rows and _of_nested_elements(hierarchy, above, level))
-            or _nested(above, rows.matrix, nodal, coarse.matrix)
+            (rows is above.discrete.decoupled_rows and _of_nested_elements(hierarchy, above, level))
+            or _nested(above, rows.matrix, nodal, coarse.decoupled_rows.matrix)
         ):
-            rows = coarse.rows
+            rows = coarse.decoupled_rows
             finer = None
         else:
             # P'AP without the fixed dofs of the finer level and without its idle nodes

@@ -158,7 +158,7 @@ class TruncatedStep:
     def _set_load(self, problem: DiscreteProblem) -> None:
         """Store the load and the volumes of a problem, and the motions that only contact holds."""
         self.load = problem.load_from_prescribed()
-        self.volumes = problem.volumes.from_prescribed(problem.fixed, problem.fixed_values)
+        self.volumes = problem.volumes.from_prescribed(problem)
         self.motions = (
             RigidMotions.of(problem, self.contact, self.load)
             if self.options.rigid_motions

@@ -354,7 +354,9 @@ def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) ->
     nodal = _nodal_contact(problem, frames, fixed)
     if system is None:
         matrix = without_fixed(
-            _rotated(problem.matrix, frames, problem.contact.nodes), fixed, copy=False
+            _rotated(problem.decoupled_rows.matrix, frames, problem.contact.nodes),
+            fixed,
+            copy=False,
         )
         system = LocalSystem.from_matrix(matrix, fixed, problem.contact.nodes)
         # the node solve knows nodes with a held tangent by the sign of an entry: see NodalContact.held
@@ -382,7 +384,7 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     :func:`local_system` has them, without rotating the matrix."""
     frames, _ = frames_and_fixed(problem)
     held = held_tangents(problem)
-    cartesian = problem.rows.diagonal_blocks(problem.contact.nodes)
+    cartesian = problem.decoupled_rows.diagonal_blocks(problem.contact.nodes)
     blocks = np.einsum("nij,njk,nlk->nil", frames, cartesian, frames)
     # of rows and columns of held tangents only the diagonal entries stay
     free = np.ones((len(blocks), problem.dim), dtype=bool)

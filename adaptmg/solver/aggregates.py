@@ -490,8 +490,8 @@ class _Smoothed(DenseSpan):
         dim = problem.dim
         self.dim = dim
         free = ~problem.fixed
-        matrix = sparse.csr_array(problem.matrix)
-        basis = aggregates_of(problem).span(free.reshape(-1, dim)[:, :, None] * np.eye(dim))
+        matrix = sparse.csr_array(problem.decoupled_rows.matrix)
+        basis = aggregates_of(problem).span(problem.free_spans(np.arange(problem.n_nodes)))
         inverse = np.where(free, 1 / matrix.diagonal(), 0.0)
         # damped Jacobi with 4/3 over the largest eigenvalue of D^-1 A, as of smoothed aggregation: ten
         # power steps find this nearly, a little too small, hence the factor 1.1. They begin at numbers

@@ -349,25 +349,25 @@ class Evidence:
         tying        (n_dofs,), relative       A u - b at tied dofs: a tie holds with what it needs
         unexplained  (n_nodes, dim), bodies    other A u - b, minus the claims on slaves and masters
         at_contact   (n_contact, dim), bodies  unexplained at contact nodes
-        in_supports  (n_fixed,), bodies        unexplained at fixed dofs, which supports carry
+        in_supports  (n_nodes, dim), bodies    unexplained along what supports hold
         left         (n_nodes, dim), bodies    unexplained along what is free: it must vanish
         ===========  ========================  =====================================================
         """
         problem = self.problem
         tied = problem.fixed & ~problem.held
         # zero without memory where nothing is tied
-        self.tying = (
-            np.where(tied, -self.residual, 0.0)
-            if tied.any()
-            else np.broadcast_to(0.0, problem.n_dofs)
-        )
+        self.tying = np.broadcast_to(0.0, problem.n_dofs)
+        if tied.any():
+            self.tying = np.where(tied, -self.residual, 0.0)
+            # along what is held supports bear the force
+            problem.inclined.remove_held(self.tying)
         borne = -self.residual - self.tying
         self.unexplained = problem.physical_forces(borne).reshape(self.u.shape)
         self.unexplained[self.nodes] -= self.claimed
         np.subtract.at(self.unexplained, self.contact.master_node, self.contact.master_force)
         self.at_contact = self.unexplained[self.nodes]
-        self.in_supports = self.unexplained[self.fixed]
         self.left = problem.free_part(self.unexplained).reshape(self.u.shape)
+        self.in_supports = self.unexplained - self.left
 
     def _set_scales(self) -> None:
         """Compute the scales of forces and displacements, and the levels of rounding."""
@@ -520,8 +520,7 @@ class Evidence:
     def prescribed(self) -> Condition:
         """Return the deviations from the prescribed values."""
         missed = self.unknowns.reshape(-1) - self.problem.fixed_values
-        inclined = np.linalg.norm(self.problem.inclined.along(missed), axis=1)
-        return self._lengths("prescribed values", np.append(missed[self.problem.fixed], inclined))
+        return self._lengths("prescribed values", missed - self.problem.free_part(missed))
 
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Return penetration, tension, complementarity."""
@@ -892,15 +891,8 @@ def any_component(vectors: np.ndarray) -> np.ndarray:
 def _held_elsewhere(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     """Return the nodes (m,) off the contact boundaries that supports or ties hold, and projections
     (m, dim, dim) onto their free directions."""
-    inclined = problem.inclined
-    fixed = problem.fixed.reshape(-1, problem.dim)
-    held = any_component(fixed)
-    held[inclined.nodes] = True
-    held[problem.contact.nodes] = False
-    nodes = np.flatnonzero(held)
-    # a tied node, all of whose dofs are fixed, may be one of the inclined nodes
-    not_fixed = ~fixed[nodes][:, :, None] * np.eye(problem.dim)
-    return nodes, not_fixed @ (np.eye(problem.dim) - inclined.at(nodes))
+    nodes = np.setdiff1d(problem.fixed_nodes(), problem.contact.nodes, assume_unique=True)
+    return nodes, problem.free_spans(nodes)
 
 
 def _image(rows: BlockRows, change: np.ndarray) -> np.ndarray:

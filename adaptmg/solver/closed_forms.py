@@ -105,14 +105,13 @@ def _stiffness(
     mesh = posed.mesh
     materials = posed.materials
     springs = [support for support in problem.supports if isinstance(support, Spring)]
-    # next to volumes and inclined supports the stored matrix lacks a part of the stiffness; in
-    # axisymmetry an affine field has other stresses
+    # next to volumes the stored matrix lacks a part of the stiffness; in axisymmetry an affine field has other
+    # stresses
     covered = (
         all(elastic.anisotropy is None and np.isfinite(elastic.lame) for elastic in materials)
         and not any(isinstance(support, PointSpring) for support in problem.supports)
         and all(_numbers(spring.normal, spring.tangential) is not None for spring in springs)
         and not len(discrete.volumes)
-        and not len(discrete.inclined)
         and not any(isinstance(tie, Periodic) for tie in problem.ties)
         and not isinstance(materials[0], Axisymmetric)
     )
@@ -245,7 +244,7 @@ def _loads(
     arm = float(mesh.sides.max())
     places = places - mesh.box.mean(axis=0)
     count = int(body.max()) + 1
-    load_forces = discrete.physical_forces(discrete.whole_load).reshape(-1, mesh.dim)
+    load_forces = discrete.physical_forces(discrete.load).reshape(-1, mesh.dim)
     loaded = np.flatnonzero(any_component(load_forces))
     carried = _resultants(points[loaded], load_forces[loaded], arm, body[loaded], count)
     missed = carried - _resultants(places, forces, arm, body[nodes], count)
@@ -363,11 +362,7 @@ class FreeBodies:
         # V sigma grad phi_i of the elements
         internal = spring_forces.copy()
         _add_at(internal, near.cells, near.forces(evidence.u))
-        # where supports hold inclined directions the stored matrix lacks the rows along these
-        imbalance = discrete.inclined.imbalance(
-            evidence.residual, evidence.unknowns.reshape(-1), discrete.fixed_values
-        )
-        of_matrix = discrete.physical_forces(discrete.whole_load - imbalance)
+        of_matrix = discrete.physical_forces(discrete.load - evidence.residual)
         missed = internal[near.nodes] - of_matrix.reshape(internal.shape)[near.nodes]
         # in axisymmetry the hoop stress varies within elements
         return missed[:, 1] if self.axisymmetric else missed
@@ -383,14 +378,13 @@ class FreeBodies:
         claimed[discrete.contact.nodes] = evidence.claimed
         claimed = discrete.free_part(claimed)
         # what the equations leave, without ties and contact, is borne by supports
-        reaction = discrete.inclined.reaction(evidence.unknowns.reshape(-1), evidence.pressures)
         borne = discrete.physical_forces(-evidence.residual - evidence.tying - claimed)
-        held = discrete.supported_part((borne + reaction).reshape(shape))
+        held = discrete.supported_part(borne.reshape(shape))
         on_slaves = [
             *_contact_forces(discrete, claimed.reshape(shape)),
             *_tie_forces(discrete, evidence.tying.reshape(shape)),
         ]
-        load = discrete.physical_forces(discrete.whole_load).reshape(shape)
+        load = discrete.physical_forces(discrete.load).reshape(shape)
         total = self._resultants(sum(on_slaves, load + held - spring_forces), self.body)
         # a master takes the opposite forces, at the same places
         for forces, (master, shift) in zip(on_slaves, self.masters, strict=True):
@@ -509,9 +503,8 @@ class Elements:
 def _near(posed: Posed, discrete: DiscreteProblem) -> Elements:
     """Return the linear elements at nodes that supports, ties or contact hold."""
     mesh = posed.mesh
-    held = any_component(discrete.fixed.reshape(mesh.points.shape))
+    held = mask_of(discrete.fixed_nodes(), mesh.n_nodes)
     held[discrete.contact.nodes] = True
-    held[discrete.inclined.nodes] = True
     # by corner: 26 us at 8192 triangles in place of 145
     elements = np.flatnonzero(held.take(mesh.elements.T).any(axis=0))
     cells = mesh.elements[elements]

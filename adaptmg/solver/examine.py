@@ -25,6 +25,7 @@ from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg._units import converted, in_units
 from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
+from adaptmg.discrete.elasticity import dofs_of
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.ties import TieForces, tie_forces
 from adaptmg.mesh.arrays import mask_of
@@ -40,7 +41,6 @@ from adaptmg.smoother.system import (
 from adaptmg.solver.certificate import (
     Certificate,
     ConditionsOnMesh,
-    any_component,
     certify,
     ratio,
 )
@@ -315,7 +315,7 @@ class Examiner:
         contact forces and reactions."""
         discrete = self.discrete
         solved, pressures = discrete.parts(solution)
-        free = np.where(discrete.fixed, 0.0, residual)
+        free = discrete.free_part(residual)
         at_contact = self._at_contact(free)
         values = self._values(solved)
         # the friction of laws that see pressure and slip is that of this state
@@ -328,7 +328,7 @@ class Examiner:
         contact_norm = euclidean_norm(at_contact.reshape(-1))
         unknowns = solved
         if self.sizes.prescribed:
-            unknowns = np.where(discrete.fixed, 0.0, solved)
+            unknowns = discrete.free_part(solved)
             # a row sums terms of the size of its diagonal times its displacement
             floor = ROUNDING * euclidean_norm(discrete.rows.diagonal() * unknowns)
             if size <= floor and self.sizes.nothing_strains(contact_norm, floor, unknowns):
@@ -361,8 +361,7 @@ class Examiner:
             if self.certified
             else None
         )
-        # A u - b, with the reactions of inclined supports, which the matrix lacks
-        exerted = discrete.inclined.reaction(solved, pressures) - residual
+        exerted = -residual  # A u - b
         examined = Examined(
             displacement=displacement,
             reaction=discrete.physical_forces(exerted).reshape(displacement.shape),
@@ -560,15 +559,16 @@ class Sizes:
         self._frames = frames
         if not self.prescribed:
             return
-        fixed = problem.fixed
         lift = problem.rows.times(problem.fixed_values)  # A ubar, ubar the prescribed values
         self._lift_energy = float(np.einsum("i,i->", problem.fixed_values, lift))  # ubar'A ubar
-        nodes = np.flatnonzero(any_component(fixed.reshape(-1, problem.dim)))
-        is_fixed = fixed.reshape(-1, problem.dim)[nodes].reshape(-1)
-        self._fixed_rows = sparse.csr_array(problem.rows.at_nodes(nodes))[is_fixed]
-        self._lift_at_fixed = lift[fixed]
-        self._load_at_fixed = problem.load[fixed]
-        self._free_load = euclidean_norm(problem.load[~fixed])
+        nodes = problem.fixed_nodes()
+        dofs = dofs_of(nodes, problem.dim)
+        #: projections (n, dim, dim) onto what is held of the nodes
+        self._held = np.eye(problem.dim) - problem.free_spans(nodes)
+        self._held_rows = problem.rows.at_nodes(nodes)
+        self._held_lift = lift[dofs]
+        self._held_load = problem.load[dofs]
+        self._free_load = euclidean_norm(problem.free_part(problem.load))
         #: A ubar in the components of the unknowns
         self._lift = lift if frames is None else rotate(lift, frames, problem.contact.nodes)
 
@@ -580,7 +580,7 @@ class Sizes:
         than ten times as far as the supports do."""
         if not self.prescribed:
             return False
-        support_forces = euclidean_norm(self._in_supports(unknowns))
+        support_forces = self._in_supports(unknowns, load=0.0)
         if max(self._free_load, contact, support_forces) > self.IDLE * rounding:
             return False
         return bool(
@@ -604,14 +604,14 @@ class Sizes:
         prescribed values."""
         if not self.prescribed:
             return max(self.load, contact)
-        # A u - b at fixed dofs
-        reactions = euclidean_norm(self._in_supports(unknowns) - self._load_at_fixed)
-        return max(self.load, contact, reactions)
+        return max(self.load, contact, self._in_supports(unknowns, load=self._held_load))
 
-    def _in_supports(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the forces (n_fixed,) of the stresses at fixed dofs, A w + A ubar there, of unknowns w
-        (n_dofs,)."""
-        return self._fixed_rows @ self._cartesian(unknowns) + self._lift_at_fixed
+    def _in_supports(self, unknowns: np.ndarray, load: np.ndarray | float) -> float:
+        """Return the norm of A w + A ubar minus a ``load`` (n,) at the dofs of held nodes, along what is held,
+        of unknowns w (n_dofs,)."""
+        forces = self._held_rows @ self._cartesian(unknowns) + self._held_lift - load
+        along = np.einsum("nij,nj->ni", self._held, forces.reshape(-1, self._problem.dim))
+        return euclidean_norm(along.reshape(-1))
 
     def _cartesian(self, unknowns: np.ndarray) -> np.ndarray:
         """Return unknowns (n_dofs,) in Cartesian components."""

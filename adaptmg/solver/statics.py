@@ -71,10 +71,12 @@ def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, 
     # not in the order of their first nodes
     n_bodies, body_of = connected_components(node_graph(problem.matrix), connection="strong")
     stiff = problem.matrix @ problem.near_nullspace
+    free = np.stack([problem.free_part(mode) for mode in problem.near_nullspace.T], axis=1)
+    held = problem.near_nullspace - free
     bodies = np.split(np.argsort(body_of, kind="stable"), np.cumsum(np.bincount(body_of))[:-1])
     # a single node is not an elastic body: only its diagonal block can hold it
     parts = [
-        (nodes, _free_motions(problem, stiff, nodes), n_bodies > 1)
+        (nodes, _free_motions(problem, stiff, held, nodes), n_bodies > 1)
         for nodes in sorted(bodies, key=lambda nodes: nodes[0])
         if len(nodes) > 1
     ]
@@ -213,9 +215,12 @@ class _Body:
         return f"{kind} about the axis along {_axis(rotation)} through {_vector(pole, size)}"
 
 
-def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Return rigid motions (n * dim, k) of a part with the nodes (n,) that vanish at its fixed dofs and
-    cause no force; ``stiff`` (n_dofs, m) is the matrix times all rigid motions."""
+def _free_motions(
+    problem: DiscreteProblem, stiff: np.ndarray, held: np.ndarray, nodes: np.ndarray
+) -> np.ndarray:
+    """Return rigid motions (n * dim, k) of a part with the nodes (n,) that supports leave free and that
+    cause no force; ``stiff`` (n_dofs, m) is the matrix times all rigid motions, ``held`` (n_dofs, m)
+    what supports hold of them."""
     dofs = dofs_of(nodes, problem.dim)
     modes = problem.near_nullspace[dofs]
     forces = stiff[dofs] / np.abs(problem.matrix.data).max()
@@ -231,8 +236,9 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     strained = np.linalg.norm(forces, axis=1) > _SOFTEST
     # springs far softer than the body hold it too: forces count over the largest one
     scale = np.abs(forces).max(initial=0.0) if strained.any() else 1.0
-    held = np.vstack([modes[problem.fixed[dofs]], forces[strained] / scale])
-    return modes @ orthonormal_null_combinations(held, checks.SIX_DIGITS).T
+    of_supports = held[dofs] @ basis
+    rows = np.vstack([of_supports[of_supports.any(axis=1)], forces[strained] / scale])
+    return modes @ orthonormal_null_combinations(rows, checks.SIX_DIGITS).T
 
 
 def _check_body(body: _Body) -> None:

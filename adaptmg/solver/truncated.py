@@ -282,7 +282,7 @@ class TruncatedCycles:
     def set_aside(self, state: TruncatedState) -> TruncatedState:
         """Free what only further steps read, if it is much: half of the matrix, which is made again
         from the whole one, and past iterates, without which recombination starts again."""
-        large = self.parts.matrix.set_aside(self.problem.rows, self.problem.fixed)
+        large = self.parts.matrix.set_aside(self.problem.decoupled_rows, self.problem.fixed)
         return with_fields(state, past=()) if large else state
 
 
