@@ -144,6 +144,28 @@ def test_what_a_support_prescribes_of_a_mean_has_no_error_at_any_angle():
     np.testing.assert_allclose(errors[1], errors[0], atol=1e-6 * size)
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_a_goal_sees_what_an_interpolated_normal_displacement_misses(turn):
+    """A block that a parabola pushes from the left moves by its mean, h^2 / 6 less than the mean of its
+    interpolant."""
+    turn = rotation(turn)
+    mesh = am.mesh.structured(am.Rectangle(width=1, height=0.5), (8, 4))
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        law=am.Frictionless(),
+        contact=am.Contact("bottom", am.Plane((0, 0), turn[:, 1])),
+        supports=[
+            am.Support("left", normal=lambda x: -1e-3 * (x @ turn[:, 1]) ** 2),
+            am.Support("top", normal=-2e-3),
+        ],
+    )
+    turned = dataclasses.replace(mesh, points=mesh.points @ turn.T)
+    grids = am.Hierarchy.from_meshes(problem, [turned])
+    goal = am.Goal([am.MeanDisplacement("right", axis) for axis in "xy"])
+    estimate = goal.indicate(grids, am.solve(grids, am.ActiveSet()))
+    assert estimate.errors @ turn[:, 0] == pytest.approx(-1e-3 * 0.125**2 / 6, rel=0.01)
+
+
 @pytest.mark.parametrize(("turn", "size"), [(0.0, 1.0), (0.7, 1e-3)])
 def test_a_goal_sees_what_interpolated_supports_miss(turn, size):
     """A field of third order on a floor, held at the top by a function."""
