@@ -315,7 +315,7 @@ class March:
         certainly nothing holds it: supports count along the axes that their directions have parts of,
         springs along all, as the mask only spares rounding."""
         problem = self.posed.problem
-        held = self.posed.held_spans(np.arange(self.posed.mesh.n_nodes)).any(axis=2)
+        held = np.any(self.posed.held_spans(np.arange(self.posed.mesh.n_nodes)), axis=2)
         held[:, 0] |= problem.axisymmetric  # hoop strains resist a radial motion
         for support in problem.supports:
             if isinstance(support, Spring | PointSpring):

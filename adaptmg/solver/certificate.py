@@ -305,7 +305,6 @@ class Evidence:
         self.pressures = pressures
         self.nodes = problem.contact.nodes
         self.normals = problem.contact.normals
-        self.fixed = problem.fixed.reshape(self.u.shape)
         self.unknowns = problem.relative(self.u)  # w, between bodies relative
         load = problem.volumes.balanced(problem.load, pressures)
         self.residual = (
@@ -519,8 +518,10 @@ class Evidence:
 
     def prescribed(self) -> Condition:
         """Return the deviations from the prescribed values."""
-        missed = self.unknowns.reshape(-1) - self.problem.fixed_values
-        return self._lengths("prescribed values", missed - self.problem.free_part(missed))
+        missed = self.unknowns - self.problem.fixed_values.reshape(self.u.shape)
+        along_held = missed - self.problem.free_part(missed).reshape(missed.shape)
+        lengths = np.linalg.norm(along_held[self.problem.fixed_nodes()], axis=1)
+        return self._lengths("prescribed values", lengths)
 
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Return penetration, tension, complementarity."""
