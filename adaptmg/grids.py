@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Self
 
@@ -172,7 +173,7 @@ class Grids:
         alike = posed is not None and posed.problem is self.problem
         return posed if alike else Posed(self.problem, mesh)
 
-    @property
+    @cached_property
     def discretised(self) -> bool:
         """Return whether every level poses the contact problem; else only ``Truncated`` without
         nested start serves."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -168,14 +168,14 @@ class Level:
         coarse = None if self.discretised else self.galerkin
         return self.discrete.matrix if coarse is None else coarse
 
-    @property
+    @cached_property
     def n_nodes(self) -> int:
         """Return the number of nodes; of a coarse space of the rows of blocks of its matrix."""
         if self.discretised:
             return self.discrete.n_nodes
         return checks.shape_of(self.matrix)[0] // self.matrix.blocksize[0]
 
-    @property
+    @cached_property
     def nonzeros(self) -> int:
         """Return the number of stored entries of the matrix."""
         return self.discrete.rows.nonzeros if self.discretised else self.matrix.nnz

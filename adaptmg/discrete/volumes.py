@@ -145,8 +145,8 @@ class Volumes:
         return energy
 
     def conditions(self, unknowns: np.ndarray, pressures: np.ndarray) -> dict[str, np.ndarray]:
-        """Return what strains miss, as forces (n_groups,), N, by the name of this condition; without
-        groups there is none."""
+        """Return the deviations of the pressures of groups from their mean volume strains, as forces
+        (n_groups,) on a facet, N, by the name of this condition; without groups there is none."""
         return {"volumes": self.scale * self.missed(unknowns, pressures)}
 
     def energy(self, pressures: np.ndarray) -> float:

@@ -396,14 +396,14 @@ class TruncatedContact:
         the projection cuts."""
         return self._cut(unknowns, self.codes, move=False) <= 1
 
-    def slope_along(self, before: np.ndarray) -> Callable[[float], float]:
-        """Return the derivative by alpha of sum g |tau + alpha d_t| over slipping nodes, and of half of
-        sum k (alpha d_n)^2 over the springs k of closed ones: d is the step from local unknowns
-        ``before`` (n_contact * dim,) to the values. What the springs bore before the step is in its
-        residual."""
+    def slope_along(self, before: np.ndarray, curvature: float) -> Callable[[float], float]:
+        """Return the derivative by alpha of ``curvature`` alpha^2 / 2, of sum g |tau + alpha d_t| over
+        slipping nodes, and of half of sum k (alpha d_n)^2 over the springs k of closed ones: d is the
+        step from local unknowns ``before`` (n_contact * dim,) to the values. What the springs bore
+        before the step is in its residual."""
         shape = len(self.nodes), self.dim
         if self.dim == 1:
-            return lambda alpha: 0.0
+            return lambda alpha: curvature * alpha
         slipping = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
         change = (self.values - before).reshape(shape)
         closed = self.codes & CLOSED != 0
@@ -411,7 +411,8 @@ class TruncatedContact:
         slip = (
             before.reshape(shape)[slipping, 1:] - self.reference.reshape(-1, self.dim - 1)[slipping]
         )
-        return friction_slope(slip, change[slipping, 1:], self._bound[slipping], of_springs)
+        curvature += of_springs
+        return friction_slope(slip, change[slipping, 1:], self._bound[slipping], curvature)
 
 
 def friction_slope(

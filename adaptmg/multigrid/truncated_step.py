@@ -235,10 +235,10 @@ class TruncatedStep:
     def smooth(self, state: TruncatedState) -> TruncatedState:
         """Improve the iterate of a state from :meth:`correct` locally, in place, and write f - B'p - A u
         to its residual; return the state, which :meth:`linearise` takes."""
-        self._sweep(state)
-        if self.interface is not None:
-            self._sweep_interface(state, self.interface)
         unknowns, pressures = self.parts(state)
+        self._sweep(state, self.volumes.balanced(self.load, pressures), unknowns)
+        if self.interface is not None:
+            self._sweep_interface(state, self.interface, unknowns)
         if self.motions is None:
             return state
         motion = self.motions.settle(state.contact, unknowns, state.residual)
@@ -396,27 +396,26 @@ class TruncatedStep:
         else:
             contact.project_by(projection.project, unknowns)
 
-    def _sweep(self, state: TruncatedState) -> None:
-        """Sweep over all nodes."""
+    def _sweep(self, state: TruncatedState, load: np.ndarray, unknowns: np.ndarray) -> None:
+        """Sweep over all nodes: the ``unknowns`` (n_dofs,) of a state, for the ``load`` f - B'p."""
         if self.smoother is None:
             for _ in range(cast("int", self.options.smooth)):
-                self._projected_sweeps(state)
+                self._projected_sweeps(state, load, unknowns)
             return
-        unknowns, pressures = self.parts(state)
-        load = self.volumes.balanced(self.load, pressures)
         passes = self.smoother.smooth(load, state.contact, unknowns, state.residual)
         self.cycle.recorder.count(passes, self.matrix.nonzeros)
         self.cycle.recorder.count(1.0, self.matrix.nonzeros)  # the residual
         self.cycle.recorder.visit(self.number, "smooth")
 
-    def _projected_sweeps(self, state: TruncatedState) -> None:
+    def _projected_sweeps(
+        self, state: TruncatedState, load: np.ndarray, unknowns: np.ndarray
+    ) -> None:
         """Sweep backward and forward, half a pass over the matrix each, as both read L alone; write
         f - B'p - A u to the residual. The forward sweep alone completes it, at contact nodes with their
         diagonal blocks: other nodes have no residual after their solve."""
         matrix = self.matrix
         contact = state.contact
-        unknowns, pressures = self.parts(state)
-        state.residual[:] = self.volumes.balanced(self.load, pressures)
+        state.residual[:] = load
         halves = matrix.shared_arrays
         arguments = contact.contact_of, *contact.node_data, unknowns, state.residual
         matrix.sweep(projected_sweeps.backward, *halves, *arguments, backward=True)
@@ -425,7 +424,9 @@ class TruncatedStep:
         self.cycle.recorder.count(1.0, matrix.nonzeros)
         self.cycle.recorder.visit(self.number, "smooth", 2)
 
-    def _sweep_interface(self, state: TruncatedState, interface: Interface) -> None:
+    def _sweep_interface(
+        self, state: TruncatedState, interface: Interface, unknowns: np.ndarray
+    ) -> None:
         """Sweep over the nodes near the interface, backward and forward in turn."""
         contact = state.contact
         arguments = (
@@ -433,7 +434,7 @@ class TruncatedStep:
             self.matrix.inverse,
             contact.contact_of,
             *contact.node_data,
-            self.displacement(state),
+            unknowns,
             state.residual,
         )
         for k in range(self.options.interface_sweeps):
@@ -494,23 +495,18 @@ class TruncatedStep:
         curvature = self.distance(unknowns, proposed) ** 2
         change = proposed - unknowns
         gain = _product(state.residual, change)
-        of_friction = contact.slope_along(state.contact.values)
-        slope_at_begin = of_friction(0.0)
-
-        def slope(part: float) -> float:
-            """Return the derivative of the energy after a part of the step."""
-            return part * curvature - gain + (of_friction(part) - slope_at_begin)
-
-        # of u + part d: part d'A d - r . d, and the change of the friction's slope, since r, truncated,
-        # contains the friction at u. Where the energy rises at the end of the step, halve to where its
-        # slope vanishes
-        if not slope(1.0) <= 0.0:
+        # the slope of the energy at u + part d: part d'A d - r . d, and the change of the friction's slope,
+        # since r, truncated, contains the friction at u. Where the energy rises at the end of the step,
+        # halve to where its slope vanishes
+        slope = contact.slope_along(state.contact.values, curvature)
+        gain += slope(0.0)
+        if not slope(1.0) <= gain:
             accepted = 0.0
             rejected = 1.0
             for _ in range(self.HALVINGS):
                 middle = 0.5 * (accepted + rejected)
                 accepted, rejected = (
-                    (accepted, middle) if slope(middle) > 0.0 else (middle, rejected)
+                    (accepted, middle) if slope(middle) > gain else (middle, rejected)
                 )
             proposed[:] = unknowns + accepted * change
             contact.values[:] = state.contact.values

@@ -119,17 +119,16 @@ class Certificate:
         to ``rtol`` violates them."""
         checks.nonnegative("rtol", rtol)
         checks.nonnegative("energy_factor", energy_factor)
-
-        def beyond(value: float, allowed: float, rounding: float) -> bool:
-            return not value <= max(allowed, min(rounding, self.MOST_ROUNDING))
-
-        names = [
-            line.name
+        rows = [
+            (line.name, line.relative, line.limit or self.FACTOR * rtol, line.rounding)
             for line in self.lines
-            if beyond(line.relative, line.limit or self.FACTOR * rtol, line.rounding)
         ]
-        if beyond(self.energy_error, energy_factor * rtol, self.energy_rounding):
-            names.append("energy error")
+        of_energy = "energy error", self.energy_error, energy_factor * rtol, self.energy_rounding
+        names = [
+            name
+            for name, value, allowed, rounding in (*rows, of_energy)
+            if not value <= max(allowed, min(rounding, self.MOST_ROUNDING))
+        ]
         return tuple(names)
 
     def __repr__(self) -> str:
@@ -398,9 +397,10 @@ class Evidence:
 
     def lines(self) -> tuple[Condition, ...]:
         """Return all conditions."""
+        of_volumes = self.problem.volumes.conditions(self.unknowns.reshape(-1), self.pressures)
         lines = (
             self.equilibrium(),
-            *self.volumes(),
+            *[self._forces(name, forces) for name, forces in of_volumes.items()],
             self.prescribed(),
             *self.normal(),
             *self.tangential(),
@@ -509,12 +509,6 @@ class Evidence:
     def equilibrium(self) -> Condition:
         """Return the forces at free dofs that neither loads nor claimed contact forces explain."""
         return self._forces("equilibrium", self.left)
-
-    def volumes(self) -> tuple[Condition, ...]:
-        """Return the deviations of the pressures of groups from their mean volume strains, as forces
-        on a facet."""
-        missed = self.problem.volumes.conditions(self.unknowns.reshape(-1), self.pressures)
-        return tuple(self._forces(name, forces) for name, forces in missed.items())
 
     def prescribed(self) -> Condition:
         """Return the deviations from the prescribed values."""

@@ -210,8 +210,8 @@ class StopTest:
         # relative to the forces; without any, as before an interference is met, it is 1
         self.residual = ratio(residual, state.forces)
         self._last_residual = residual
-        self._at_rounding = self.residual_is_rounding(state.floor)
-        cannot_fall = self._residual_within(self.ROUNDING_LEVEL * state.floor, self.BALANCED)
+        self._at_rounding = self.residual_within(ROUNDING * state.floor, self.ROUNDING_LIMIT)
+        cannot_fall = self.residual_within(self.ROUNDING_LEVEL * state.floor, self.BALANCED)
         self._iterates_at_rounding = self._iterates_at_rounding + 1 if cannot_fall else 0
         # changes at rounding have no rate: there the residual stands for the error
         self.error_estimate = (
@@ -232,12 +232,7 @@ class StopTest:
             return self._stalled_status
         return Status.LIMIT if self.cycles >= self.limit else None
 
-    def residual_is_rounding(self, floor: float) -> bool:
-        """Return whether the last residual is zero but for rounding; ``floor`` is the norm of D u, N,
-        the terms that it sums."""
-        return self._residual_within(ROUNDING * floor, self.ROUNDING_LIMIT)
-
-    def _residual_within(self, rounding: float, limit: float) -> bool:
+    def residual_within(self, rounding: float, limit: float) -> bool:
         """Return whether the last residual is at most ``rounding``, N, and at most the share ``limit``
         of the forces: rounding grows with unknowns that diverge, forces do not."""
         return bool(self._last_residual <= rounding and self.residual <= limit)

@@ -334,15 +334,14 @@ def from_finest(
     """Solve by the active set method on the finest level alone, ``finest``, from a start (n_unknowns,)
     or zero (None); where that fails, by full multigrid on all levels, ``grids``. Return the outcome
     and the levels that it comes from."""
-    rtol = solver.rtol
     try:
         outcome = solver.run(finest, run, start)
     except (np.linalg.LinAlgError, MemoryError) as error:
         _LOG.info("the active set method gives up: %s", error)
         zero = np.zeros(finest.finest.discrete.n_unknowns)
-        outcome = Outcome(zero, Status.DIVERGED, cycles=0, rtol=rtol)
+        outcome = Outcome(zero, Status.DIVERGED, cycles=0, rtol=solver.rtol)
     if outcome.status.ok or outcome.status is Status.ROUNDING:
         return outcome, finest
     method = FullMultigrid if grids.discretised else Multigrid
-    after = _continued(outcome, method(rtol=rtol), method.__name__, None, grids, run)
+    after = _continued(outcome, method(rtol=solver.rtol), method.__name__, None, grids, run)
     return after, grids if run.fallback else finest

@@ -157,12 +157,13 @@ def solve(
         outcome = solver.run(grids, run, first)
     outcome = handed_over(checked_outcome(outcome, solver, discrete), grids, run)
     with run.phase("result"):
-        stress_data = None
-        if posed is not None:
-            problem = posed.problem
-            stress_data = StressData.of(
-                posed.mesh, posed.materials, problem.loads, problem.elements
+        stress_data = (
+            None
+            if posed is None
+            else StressData.of(
+                posed.mesh, posed.materials, posed.problem.loads, posed.problem.elements
             )
+        )
         result = result_of(grids, examiner, run, outcome, solver, stress_data, choice)
         advise_on_results(posed, discrete, [result])
     _LOG.info(
