@@ -126,6 +126,9 @@ def test_supports():
     assert P.nnz == 7  # the matrix given is left as it was
     equal = am.transfer.supports(sparse.csr_array([[0.5, 0.5], [0.5, 0.5]]))
     np.testing.assert_array_equal(equal.main, [0, 0])  # the first of equal weights
+    # two entries at one place count as their sum
+    twice = am.transfer.supports(sparse.csr_array(([1.0, -0.5, 1.0], [0, 0, 0], [0, 2, 3])))
+    np.testing.assert_array_equal(twice.weights, [0.5, 1.0])
 
 
 test_failures_name_the_argument = refused(
