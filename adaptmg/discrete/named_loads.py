@@ -37,7 +37,8 @@ class LoadSteps:
     stress: StressData | Any = None
     # dict of str to (n_elements, 3)
     strains: Mapping[str, np.ndarray] = field(default_factory=dict)
-    strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_dofs,)
+    # dict of str to (n_dofs,): the parts of ``loads`` that come from initial strains, for energies
+    strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)
     # Any: None without a problem, which has neither strains nor gaps that depend on supports
     posed: Posed | Any = None
 
@@ -134,7 +135,7 @@ class LoadSteps:
 
 def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
     """Return the loads and supports of a discretised problem by their names in a load path; a preload,
-    whose force is met by a strain still to be found, has that of a shortening by 1."""
+    whose force is met by a strain still to be found, enters with the load of a shortening strain of 1."""
     problem = posed.problem
     mesh = posed.mesh
     loads = {}

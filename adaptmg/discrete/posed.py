@@ -174,7 +174,8 @@ class Posed(Boundaries):
 
     @cached_property
     def prescribed_parts(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return by name the dofs (n,) that supports and ties prescribe, and their values (n,), m."""
+        """Return by name the dofs (n,) that supports and ties prescribe, and parts of their values (n,), m,
+        which add up over the names; of inclined nodes all components."""
         unassigned = self.fixed.copy()
         result = {}
         for name in dict.fromkeys(support.path_name for support in self.problem.supports):

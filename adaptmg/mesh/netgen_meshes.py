@@ -551,21 +551,23 @@ def _on_surfaces(
     sizes: SolidSizes,
     faces: Sequence[str],
     domain: Domain,
-    surfaces: list[list[Revolved]],
+    possible: list[list[Revolved]],
 ) -> MeshArrays:
     """Return a draft at unit size, whose sizes are ``factor`` times those wanted, refined to these on
-    the surfaces of its faces, without flat elements. If that fails, Misplaced for a coarse draft;
-    one with factor 1 is bisected by Netgen."""
+    the surfaces of its faces, with as few flat elements as :func:`_relieved` leaves; ``possible`` is
+    that of :func:`_refined`. If that fails, Misplaced for a coarse draft; one with factor 1 is
+    bisected by Netgen."""
     try:
+        # a finer draft follows a flat one; after factor 1 there is none
         if factor > 1 and (angle := least_angle(draft.points, draft.elements)) < FLAT:
             raise Misplaced(f"it has angles of {angle:.1f} degrees")
-        unit = _refined(draft, shape, sizes, faces, domain, surfaces)
+        unit = _refined(draft, shape, sizes, faces, domain, possible)
     except Misplaced as error:
         _LOG.info("a draft of %r with sizes times %g is not refined: %s", domain, factor, error)
         if factor > 1:
             raise
         unit = _bisected(worker, draft, shape, sizes, faces, domain)
-    return _relieved(unit, surfaces)
+    return _relieved(unit, possible)
 
 
 def _round_nodes(shape: Shape, size: float) -> float:

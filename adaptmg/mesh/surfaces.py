@@ -52,7 +52,7 @@ _BESIDE = 1e-3
 
 
 class Misplaced(ValueError):
-    """Nodes of a refined mesh cannot be put onto its boundary."""
+    """Nodes of a refined mesh cannot be put onto its boundary, or its draft is too flat for that."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -158,7 +158,7 @@ def need_displacements(result: Result) -> None:
     if result.dim == 1:
         raise ValueError(
             "result must have displacements, got that of a scalar problem: draw result.displacement[:, 0] "
-            "on result.mesh (matplotlib's tricontourf), or write it by am.export.vtk"
+            "on result.mesh (in the plane by matplotlib's tricontourf), or write it by am.export.vtk"
         )
 
 

@@ -253,19 +253,20 @@ def _slip_along_held(
 def _clamped_equations(
     contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, aim: np.ndarray
 ) -> Linearised:
-    """Return the equations of nodes with one unknown. A node that would move beyond an obstacle,
-    to its ``aim`` (n_contact,), m, is active there. All count as slipping: no tangent holds them."""
+    """Return the equations of nodes with one unknown, at ``unknowns`` w and residuals q = b - A w, both
+    (n_contact, 1). A node that would move beyond an obstacle, to its ``aim`` w + q / c (n_contact,), m,
+    is active there. All count as slipping: no tangent holds them."""
     n = len(aim)
-    no_tangents = np.empty((n, 0))
     target = contact.clamped(aim)
+    # diverged unknowns are no numbers, which differ from themselves
     active = np.isfinite(target) & (target != aim)
     change = np.where(active, target - unknowns[:, 0], 0.0)
     return Linearised(
         active=active,
         slip=np.ones(n, dtype=bool),
-        direction=no_tangents,
+        direction=np.empty((n, 0)),
         coupling=np.zeros(n),
-        curvature=no_tangents[:, :, None],
+        curvature=np.empty((n, 0, 0)),
         force=residual.copy(),
         prescribed=active[:, None],
         change=change[:, None],

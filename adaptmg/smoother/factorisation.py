@@ -197,7 +197,8 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
 
 def _halves(coordinates: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two masks of nodes (n,): which lie behind the median of their part along its longest
-    extent, and which are in a part that is not cut."""
+    extent, and which are in a part that is not cut. ``part`` (n,) numbers the part of each node;
+    ``coordinates`` (n, k) are positions or, of a matrix without any, distances in its graph."""
     _, index, size = np.unique(part, return_inverse=True, return_counts=True)
     first = np.r_[0, np.cumsum(size)[:-1]]
     # extent, lowest and median coordinate of each part along each axis

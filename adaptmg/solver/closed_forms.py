@@ -429,8 +429,10 @@ def _contact_forces(discrete: DiscreteProblem, claimed: np.ndarray) -> Iterator[
 
 
 def _tie_forces(discrete: DiscreteProblem, tying: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield the forces (n_nodes, dim) on the slave of each tie: ``tying`` (n_nodes, dim) at its
-    tied nodes, and -W' times these at nodes of the slave surface that tied nodes follow."""
+    """Yield the forces (n_nodes, dim), N, on the slave of each tie: ``tying`` (n_nodes, dim) at its tied
+    nodes, with their shares at other nodes of the slave boundary, of which they take over a part. W, the
+    weights of :class:`Coupling`, is minus the share there; its columns on the master are left out, as
+    the opposite force acts there."""
     for _, _, nodes, slave_nodes in discrete.ties:
         weights = sparse.csr_array(cast("Coupling", discrete.coupling).weights[nodes])
         forces = np.zeros(tying.shape)

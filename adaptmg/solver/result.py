@@ -227,7 +227,7 @@ class Result(Quantities):
         return self.checked
 
     def work_to(self, error: float, of: str = "error_estimate") -> float:
-        """Return the work units until an error of the history fell below ``error`` for good;
+        """Return the work units until an error of the history fell to ``error`` for good;
         infinite if it never did.
 
         ``of`` is the column of ``history``: "error_estimate" (algebraic: the estimate of ||u -
@@ -242,7 +242,7 @@ class Result(Quantities):
         recorded = ~np.isnan(self.history[of])
         values = self.history[of][recorded]
         work = self.history["work_units"][recorded]
-        above = np.flatnonzero(~(values <= error))
+        above = np.flatnonzero(values > error)
         first = above[-1] + 1 if len(above) else 0
         return float(work[first]) if first < len(work) else float("inf")
 
