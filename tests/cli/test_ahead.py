@@ -42,25 +42,19 @@ for child in psutil.Process().children():
     while not list(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("energy_error.*.nbi")):
         time.sleep(0.1)
 """
-#: prints how many threads wait for another process
-COUNTED = """
-import threading
-import adaptmg._machine as machine
-machine.has_idle_processor = lambda: {idle}
-from adaptmg._numba import _compile_ahead
-before = threading.active_count()
-_compile_ahead()
-print(threading.active_count() - before)
-"""
-
-#: starts the other process, ends it, and prints whether the system still lists it
-ENDED = """
-import time
-import adaptmg._machine as machine
-machine.has_idle_processor = lambda: True
+#: prints how many threads wait for another process: where one thread is allowed, where no processor is
+#: idle, and otherwise; then ends that process, and prints whether the system still lists it
+STARTED = """
+import os, threading, time
 import psutil
-from adaptmg._numba import _compile_ahead
-_compile_ahead()
+import adaptmg._numba as compiling
+before = threading.active_count()
+for threads, idle in (("1", True), ("2", False), ("2", True)):
+    os.environ["NUMBA_NUM_THREADS"] = threads
+    compiling.has_idle_processor = lambda: idle
+    compiling._compile_ahead.cache_clear()
+    compiling._compile_ahead()
+    print(threading.active_count() - before)
 while not (children := psutil.Process().children()):
     time.sleep(0.01)
 children[0].kill()
@@ -91,8 +85,8 @@ def test_the_second_process_knows_the_kernels_of_a_first_solve(tmp_path: Path):
     assert len(called) > 30 and called <= recorded
 
 
-def test_a_second_process_that_has_ended_leaves_no_zombie(tmp_path: Path):
-    assert run(ENDED, tmp_path, NUMBA_NUM_THREADS="2") == ["False"]
+def test_a_second_process_needs_an_idle_processor_and_leaves_no_zombie(tmp_path: Path):
+    assert run(STARTED, tmp_path) == ["0", "0", "1", "False"]
 
 
 @pytest.mark.slow
@@ -105,10 +99,3 @@ def test_a_second_process_compiles_what_a_first_solve_needs_and_ends_with_the_fi
     while Path("/proc", child).exists():
         assert time.monotonic() < end
         time.sleep(0.1)
-
-
-@pytest.mark.parametrize(
-    ("threads", "idle", "started"), [("2", True, "1"), ("1", True, "0"), ("2", False, "0")]
-)
-def test_a_second_process_needs_an_idle_processor(tmp_path: Path, threads, idle, started):
-    assert run(COUNTED.format(idle=idle), tmp_path, NUMBA_NUM_THREADS=threads) == [started]

@@ -286,12 +286,12 @@ def test_bodies_stay_unchanged_after_contact_is_lost(punch, elements):
         assert np.abs(result.resultant("contact").force).max() < 1e-3 * force
 
 
-@pytest.mark.parametrize(("radius", "law"), [(3e-3, am.Coulomb(0.3)), (8e-3, am.Frictionless())])
-def test_a_plate_with_a_hole_bears_what_the_rest_of_its_section_bears(radius, law):
-    """In plane strain 2 / sqrt(3) of the yield stress, which two bounds give; smoothed elements are
+def test_a_plate_with_a_hole_bears_what_the_rest_of_its_section_bears():
+    """Also with friction. In plane strain 2 / sqrt(3) of the yield stress, which two bounds give; smoothed elements are
     1 to 4 % above it, and half of that on the finer mesh."""
     excess = []
-    problem = am.cases.pierced_plate(radius=radius, law=law, elements="smoothed")
+    radius = 3e-3
+    problem = am.cases.pierced_plate(radius=radius, law=am.Coulomb(0.3), elements="smoothed")
     grids = am.Hierarchy.graded(problem, [8e-3, 4e-3, 2e-3, 1e-3], contact_ratio=1)
     path = am.LoadPath({"press": [0.25, 0.5, 0.75, 1.0]})
     for finest in (2, 3):
