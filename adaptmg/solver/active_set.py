@@ -125,7 +125,7 @@ class ActiveSet(checks.Checked):
             outcome = self._solved(level.discrete, number, start, run, number == finest)
         return outcome
 
-    def equations(
+    def _equations(
         self, problem: DiscreteProblem, run: Run, lenient: bool = False
     ) -> Condensed | SparseEquations:
         """Return the linear equations of the steps of a problem; ``lenient``: the matrix may be
@@ -166,7 +166,7 @@ class ActiveSet(checks.Checked):
         past_pressures: list[tuple[np.ndarray, np.ndarray]] = []
         augmented = augmented_problem(problem, pressures)
         with run.phase("factorise" if self.condensed else "setup"):
-            linear = self.equations(augmented.problem, run)
+            linear = self._equations(augmented.problem, run)
         for solve in range(Augmented.MOST):
             # before the first solve the start may be a given one, which was solved for another load
             volumes_met = solve > 0 and augmented.missed(displacement) <= self.rtol
@@ -632,7 +632,7 @@ def coarsest_solution_near(
     # of scalar problems all nodes may touch: nothing is condensed
     options = ActiveSet(rtol=rtol, condensed=problem.dim > 1)
     run = Run(unit=augmented.problem.rows.nonzeros)  # a work unit is a pass over this matrix
-    linear = options.equations(augmented.problem, run, lenient=True)
+    linear = options._equations(augmented.problem, run, lenient=True)
     newton = _Newton(options, linear, run, level=0, start=start, most=options.max_steps)
     state, *_ = newton.solve(certified=False, test=_CoarsestTest)
     solution = augmented.whole(newton.local.to_cartesian(state.unknowns).reshape(-1))

@@ -291,7 +291,8 @@ class Examiner:
         Euclidean norms; 1 if no other forces act. The last answer is remembered with its solution, which
         must not change any more: a load step asks twice for that of its extrapolation."""
         if self._last_residual is None or not np.array_equal(self._last_residual[0], solution):
-            residual = self._residual(solution, self.discrete.residual(solution))
+            values = self._values(self.discrete.parts(solution)[0])
+            residual = self._residual(solution, self.discrete.residual(solution), values)
             self._last_residual = solution, residual
         return self._last_residual[1]
 
@@ -308,16 +309,15 @@ class Examiner:
         """Return the unknowns w (n_contact, dim) of a displacement u (n_dofs,), local."""
         return self._at_contact(self.discrete.from_prescribed(solved))
 
-    def _residual(self, solution: np.ndarray, residual: np.ndarray) -> float:
+    def _residual(self, solution: np.ndarray, residual: np.ndarray, values: np.ndarray) -> float:
         """Return the relative natural residual of a solution (n_unknowns,) whose residual r = b - A w
-        (n_dofs,), N, is known: the norm of the free part of r away from contact, of the natural
-        residual at contact nodes and of what the volumes miss, over the largest norm of loads,
-        contact forces and reactions."""
+        (n_dofs,), N, and unknowns ``values`` (n_contact, dim) at contact nodes are known: the norm of the
+        free part of r away from contact, of the natural residual at contact nodes and of what the
+        volumes miss, over the largest norm of loads, contact forces and reactions."""
         discrete = self.discrete
         solved, pressures = discrete.parts(solution)
         free = discrete.free_part(residual)
         at_contact = self._at_contact(free)
-        values = self._values(solved)
         # the friction of laws that see pressure and slip is that of this state
         self.contact.follow(values, at_contact)
         natural = natural_at_nodes(self.contact, self.blocks, values, at_contact)
@@ -346,8 +346,9 @@ class Examiner:
         residual = discrete.residual(solution)
         solved, pressures = discrete.parts(solution)
         displacement = discrete.physical(solved.reshape(discrete.n_nodes, discrete.dim))
-        contact = self._contact_result(solved, residual)
-        natural = self._residual(solution, residual)
+        values = self._values(solved)
+        contact = self._contact_result(solved, residual, values)
+        natural = self._residual(solution, residual, values)
         checked = (
             certify(
                 discrete,
@@ -373,10 +374,13 @@ class Examiner:
         self._last = solution, examined
         return examined
 
-    def _contact_result(self, solved: np.ndarray, residual: np.ndarray) -> ContactResult:
-        """Return contact quantities at a solution (n_dofs,) with its residual r (n_dofs,): the pressure
-        force p = max(0, r_n) and the friction f_t = -r_t. Where a support holds a tangent, r_t is
-        friction and reaction of the support together: there the friction is that of the law."""
+    def _contact_result(
+        self, solved: np.ndarray, residual: np.ndarray, values: np.ndarray
+    ) -> ContactResult:
+        """Return contact quantities at a solution (n_dofs,) with its residual r (n_dofs,) and the unknowns
+        ``values`` (n_contact, dim) of contact nodes: the pressure force p = max(0, r_n) and the friction
+        f_t = -r_t. Where a support holds a tangent, r_t is friction and reaction of the support together:
+        there the friction is that of the law."""
         discrete = self.discrete
         frames = self.frames
         held = self.held
@@ -392,7 +396,6 @@ class Examiner:
             u = contact.normals * u
         slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
         force_n = np.maximum(force[:, 0], 0.0)
-        values = self._values(solved)
         self.contact.follow(values, force)
         limit = self.contact.limit + self.contact.friction * force_n
         state = states(self.contact, values, force_n, negligible_slip)
