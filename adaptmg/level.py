@@ -175,7 +175,7 @@ class Level:
             return self.discrete.n_nodes
         return checks.shape_of(self.matrix)[0] // self.matrix.blocksize[0]
 
-    @cached_property
+    @property  # not kept: :meth:`posing` hands over what is
     def nonzeros(self) -> int:
         """Return the number of stored entries of the matrix."""
         return self.discrete.rows.nonzeros if self.discretised else self.matrix.nnz

@@ -686,3 +686,12 @@ def test_body_of_which_half_is_cut_is_not_taken_for_one_in_mm(domain, body):
     mesh = am.Hierarchy.graded(problem, sizes=(0.01,)).finest.mesh
     with pytest.warns(UserWarning, match="scale the mesh"):
         am.Hierarchy.from_meshes(problem, [replace(mesh, points=1e-3 * mesh.points)])
+
+
+def test_a_hierarchy_with_other_elements_counts_their_entries():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
+    linear = [level.nonzeros for level in grids.levels]
+    smoothed = grids.with_problem(replace(grids.problem, elements="smoothed"))
+    counted = [level.nonzeros for level in smoothed.levels]
+    assert counted == [level.discrete.matrix.nnz for level in smoothed.levels]
+    assert min(np.array(counted) / linear) > 1.5
