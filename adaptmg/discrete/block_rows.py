@@ -115,7 +115,7 @@ class BlockRows:
         places of their rows among the nodes."""
         table_rows = self.kinds[nodes] if len(self.kinds) else nodes
         starts = self.indptr[table_rows]
-        # kinds have 8 bits: the sum has the size of places
+        # kinds have 8 bits, in which 255 + 1 would be 0: an intp widens the sum
         counts = self.indptr[table_rows + np.intp(1)] - starts
         rows = np.repeat(np.arange(len(nodes)), counts)
         # from each start on, as many as the row has
@@ -151,7 +151,7 @@ class BlockRows:
 def frozen_matrix(data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> sparse.bsr_array:
     """Return the matrix of blocks (n, dim, dim) in sorted block columns ``indices`` (n,), whose pattern
     is frozen."""
-    # the type of the columns: of two types scipy would make copies, which are not frozen
+    # row pointers of the type of the columns: of two types scipy would make copies, which are not frozen
     if len(indices) < 2**31:
         indptr = indptr.astype(np.int32)
     for array in (indices, indptr):

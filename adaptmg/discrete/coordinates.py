@@ -151,7 +151,9 @@ def _returning(weights: sparse.csr_array) -> sparse.csr_array | None:
     entries = sparse.coo_array(weights)
     follows = np.diff(weights.indptr) > 0
     returns = (entries.data < 0) & follows[entries.col]
-    if returns.any():  # where ties end at contact these nodes follow others
+    # a node that is taken over may follow others without leading back, as where ties end at contact: entries
+    # that do lead back join nodes of one strong component
+    if returns.any():
         _, part = connected_components(weights, connection="strong")
         returns &= part[entries.row] == part[entries.col]
     if not returns.any():
@@ -171,10 +173,10 @@ def _inverse(step: sparse.csr_array, returning: sparse.csr_array | None) -> spar
         return _series(step)
     identity = sparse.eye_array(step.shape[0], format="csr")
     forward = identity + _series(sparse.csr_array(step - returning))
-    back = sparse.csr_array(returning @ forward)
-    own = back.diagonal()
-    scale = sparse.diags_array(1 / (1 - own), format="csr")
-    others = sparse.csr_array(scale @ (back - sparse.diags_array(own)))
+    back = sparse.csr_array(returning @ forward)  # Q
+    diagonal = back.diagonal()
+    scale = sparse.diags_array(1 / (1 - diagonal), format="csr")
+    others = sparse.csr_array(scale @ (back - sparse.diags_array(diagonal)))
     others.eliminate_zeros()
     result = sparse.csr_array(forward @ (identity + _series(others)) @ scale - identity)
     result.eliminate_zeros()

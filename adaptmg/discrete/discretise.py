@@ -113,7 +113,7 @@ def assembled(
         )
     parts |= _initial_strain_parts(posed, parts["volumes"])
     parts |= _matrix_part(posed, effective)
-    # what nobody writes is not copied
+    # arrays that cannot be written may be shared: they are frozen, not copied
     checks.freeze(parts["load"], posed.fixed, values, *posed.bodies.values())
     result = DiscreteProblem.assembled(posed.rows.follows, **parts)
     check_held(posed, result)
@@ -143,7 +143,8 @@ def _matrix_part(
 def _initial_strain_parts(posed: Posed, volumes: Volumes) -> dict[str, Any]:
     """Return the parts of a problem that depend on initial strains, apart from the load: the energy
     terms ``strain_free`` in displacements of the bodies, None without initial strains, and the
-    ``volumes`` with their expansion, 0 in place of that of other loads without initial strains."""
+    ``volumes`` with the expansion by these strains, 0 without any: they may come with that of the
+    problem before."""
     problem = posed.problem
     mesh = posed.mesh
     strains = [load for load in problem.loads if isinstance(load, InitialStrain)]
@@ -174,7 +175,8 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
     law = nodal_law(posed, contact)
     check_bounds(law, len(contact))
     n = len(contact)
-    # which slave nodes carry multipliers depends on where friction acts, also at nodes that have had none
+    # which slave nodes carry multipliers depends on where friction acts: it may differ if some carry none
+    # now, or if friction acts at other nodes
     may_differ = old.coupling is not None and (
         n < np.count_nonzero(posed.untied >= 0)
         or not np.array_equal(friction_acts(law, n), friction_acts(old.law, n))

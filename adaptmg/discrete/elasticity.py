@@ -806,7 +806,7 @@ def rigid_body_modes(points: np.ndarray, nodes: np.ndarray | slice = ALL_NODES) 
     modes = np.zeros((len(turning), dim, dim + len(turn_sizes)))
     modes[:, range(dim), range(dim)] = 1 / np.sqrt(n)
     for k, turn in enumerate(rotations(turning, axes.T)):
-        modes[:, :, dim + k] = turn / (turn_sizes[k] or 1.0)
+        modes[:, :, dim + k] = turn / (turn_sizes[k] or 1.0)  # 0: points on the axis do not turn
     if on_line:
         return np.linalg.qr(modes.reshape(n * dim, -1))[0].reshape(n, dim, -1)[nodes]
     return modes

@@ -338,7 +338,7 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     has_partner = _with_partners(surfaces, nodes, partner, offset)
     n = len(points)
     weights = surfaces.slave_side.lumped(surfaces.axisymmetric)
-    # E_ji w_i / w_j
+    # E_ji w_i / w_j; w is 0 at nodes off the surface, which take over nothing
     taken = sparse.diags_array(1 / np.where(weights > 0, weights, 1.0)) @ taken_over(
         surfaces.slave_side,
         surfaces.carries,

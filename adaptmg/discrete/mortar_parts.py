@@ -267,7 +267,7 @@ def _edges_near(
     # axes of the box of each edge by row: across the mean normal, and along it
     frames = np.stack([np.column_stack([mean[:, 1], -mean[:, 0]]), mean], axis=1) / shortest
     local = np.einsum("ead,ekd->eka", frames, corners - ends[:, :1])
-    rounding = 1e-12 * surfaces.size
+    rounding = 1e-12 * surfaces.size  # of the coordinates of box and edges
     edge, facet = BoxTree(surfaces.points, surfaces.master).meeting(
         frames,
         np.ascontiguousarray(ends[:, 0]),
@@ -455,7 +455,8 @@ def _parts_of_triangles(surfaces: Surfaces, reach: float | None) -> CoveredParts
     frames = _frames(surfaces)
     start, near = _triangles_near(surfaces, frames, *depths)
     parts = _common_parts(surfaces, frames, start, near, *depths)
-    covariance = parts.means()[-1]
+    _, _, _, covariance = parts.means()
+    # facets of which a narrow strip is covered
     strips = np.flatnonzero(
         np.linalg.det(covariance) < checks.SIX_DIGITS * np.trace(covariance, axis1=1, axis2=2) ** 2
     )

@@ -29,13 +29,13 @@ class LoadSteps:
     of its methods are the lambda_kj of a step k by these names j; preloads have strains."""
 
     n_dofs: int
-    loads: Mapping[str, np.ndarray]  # dict of str to (n_dofs,)
-    # dict of str to ((n,) int, (n,)): dofs and parts of their values, which add up
+    loads: Mapping[str, np.ndarray]  # dict of str to (n_dofs,), N, in the unknowns of the problem
+    # dict of str to ((n,) int, (n,)): dofs and parts of their values, m, which add up
     prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    holds: Sequence[Held] = ()
+    holds: Sequence[Held] = ()  # what supports hold: they must agree at common nodes
     # stress data without initial strains; Any: None without a problem, which then has no strains
     stress: StressData | Any = None
-    # dict of str to (n_elements, 3)
+    # dict of str to (n_elements, 3): initial strains along the axes, means over elements
     strains: Mapping[str, np.ndarray] = field(default_factory=dict)
     # dict of str to (n_dofs,): the parts of ``loads`` that come from initial strains, for energies
     strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)

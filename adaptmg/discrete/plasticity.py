@@ -140,7 +140,7 @@ class InelasticBodies:
         return Response(displacement, stress, tangent, new_state, missed)
 
     def linearised(self, problem: DiscreteProblem, response: Response) -> DiscreteProblem:
-        """Return the contact problem whose bodies have the tangent at a response."""
+        """Return the contact problem of the module, whose bodies have the tangent K_t at a response."""
         posed = self.posed
         matrix = supported_stiffness(
             posed.mesh,
@@ -154,8 +154,8 @@ class InelasticBodies:
         return problem.restructured(
             matrix=matrix,
             load=matrix @ response.displacement + response.missed,  # f + K_t u - f_int(u)
-            strain_free=None,
-            inelastic=False,
+            strain_free=None,  # its energy terms belong to the elastic matrix
+            inelastic=False,  # with this matrix and load the bodies are linear
         )
 
     def _material(

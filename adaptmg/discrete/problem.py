@@ -213,6 +213,7 @@ class DiscreteProblem(Unknowns):
         checks.instance("volumes", volumes, Volumes, "Volumes(...)")
         checks.sparse_matrix("volumes.rows", volumes.rows, (len(volumes), n))
         prescribed = fixed_dofs.copy()
+        # values along an inclined direction have all components
         prescribed.reshape(-1, dim)[inclined.nodes] = True
         values = np.zeros(n) if fixed_values is None else fixed_values
         if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
@@ -436,8 +437,8 @@ class DiscreteProblem(Unknowns):
         """Raise ValueError if a component with a part along the normal of a contact node is
         fixed."""
         fixed = self.fixed.reshape(-1, self.dim)[self.contact.nodes]
-        # a fixed Cartesian component must lie in the tangent plane, but for the rounding of normals,
-        # or the contact condition would be prescribed too
+        # a fixed Cartesian component must lie in the tangent plane, but for the rounding of normals, or
+        # contact and support would both prescribe the normal displacement
         clash = (fixed & (np.abs(self.contact.normals) > 1e-8)).any(axis=1)
         if clash.any():
             i = int(np.argmax(clash))

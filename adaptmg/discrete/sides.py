@@ -26,6 +26,7 @@ STIFFER, ALIKE = 10.0, 2.0
 def young_of(mesh: MeshArrays, materials: Sequence[Elastic], nodes: np.ndarray) -> float:
     """Return the smallest Young's modulus of the bodies with a boundary of these nodes, Pa."""
     touches = mask_of(nodes, mesh.n_nodes)
+    # of elements with as many of these nodes as a facet has
     bodies = np.unique(mesh.element_body[touches[mesh.elements].sum(axis=1) >= mesh.dim])
     return min(materials[body].young for body in bodies)
 
@@ -46,7 +47,8 @@ def with_sides(problem: ContactProblem, mesh: MeshArrays) -> ContactProblem:
             slave = mesh.surface(pair.slave)
             master = mesh.surface(pair.master)
             ratio = young_of(mesh, materials, slave.nodes) / young_of(mesh, materials, master.nodes)
-            if 1 / ALIKE <= ratio <= ALIKE:  # equal sizes do not change places
+            # of sides about as stiff the finer one is the slave; 1e-6, beyond rounding, lets equal ones stay
+            if 1 / ALIKE <= ratio <= ALIKE:
                 ratio = slave.measures.mean() / master.measures.mean() / (1 + 1e-6)
             exchanged = (
                 {"slave": pair.master, "master": pair.slave}

@@ -497,7 +497,7 @@ def _fits(
     limit = checks.SIX_DIGITS * matrix[0, 0]
     for a in range(k):
         determined &= matrix[a, a] > limit
-        matrix[a, a, ~determined] = 1.0
+        matrix[a, a, ~determined] = 1.0  # a pivot for fits that are replaced by means
         factor = matrix[a + 1 :, a] / matrix[a, a]
         matrix[a + 1 :] -= factor[:, None] * matrix[a]
         right_sides[a + 1 :] -= factor[:, None] * right_sides[a]

@@ -94,7 +94,7 @@ class Tip:
     """A tip, and axes there: along the crack in the direction of growth, and to the left of it."""
 
     place: np.ndarray  # (2,)
-    axes: np.ndarray  # (2, 2)
+    axes: np.ndarray  # (2, 2), by row
     upper: str  # name of the face on the left
     straight: float  # distance to where the crack turns or ends, m
 

@@ -337,7 +337,8 @@ class Boundaries:
 
     def images(self, nodes: np.ndarray, surface: np.ndarray, carries: np.ndarray) -> np.ndarray:
         """Return those of ``nodes`` (n,) on periodic sides that are images of nodes on a ``surface`` (k,) which
-        may carry a condition, by the mask ``carries`` (n_nodes,); supports hold the same axes of both."""
+        may carry a condition, by the mask ``carries`` (n_nodes,): those where supports hold the same axes of
+        both, and no other direction of either."""
         originals = nodes if self.originals is None else self.originals[nodes]
         inclined = self.inclined.nodes
         return nodes[

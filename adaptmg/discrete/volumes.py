@@ -125,6 +125,7 @@ class Volumes:
         nodes = problem.fixed_nodes()
         held = np.eye(problem.dim) - problem.free_spans(nodes)
         rows = self.rows - self.rows @ nodal_matrix(nodes, held, self.rows.shape[1])
+        # the expansion minus the strains of the prescribed values
         expansion = -self.strains(problem.fixed_values)
         return replace(self, rows=checks.narrowed(sparse.csr_array(rows)), expansion=expansion)
 

@@ -473,6 +473,7 @@ class MultigridCycle:
     recorder: Recorder
     # by level; empty where the correction does not need it
     initial: list[InitialContact] = field(default_factory=list)
+    # the coarsest level on its contact dofs alone; None: its sweeps go over all dofs
     condensed: Condensed | None = None
 
     #: cycles of a 'complete' coarse solution at most

@@ -141,7 +141,7 @@ class LinearLevel:
         if sweeps % 2 == 1:
             matrix.sweep(
                 gauss_seidel,
-                True,
+                True,  # backward
                 *matrix.upper_arrays,
                 *matrix.lower_arrays,
                 matrix.inverse,
@@ -349,6 +349,7 @@ class CoarseFactors:
         self.level = level
         self.custom = custom
         scale = level.diagonal_sizes
+        # at dofs without stiffness, as idle ones, the largest; 1 if no dof has any
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
         self.forget()  # sets the shift
         # tells by one solve which dofs the matrix determines, see renew

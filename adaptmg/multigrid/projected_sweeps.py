@@ -423,8 +423,10 @@ class Interface:
         master_blocks = self._master_blocks(place) * (free[:, :, None] & free[:, None, :])
         # the rows of fixed components are zero
         self.master_inverse = np.linalg.pinv(master_blocks, hermitian=True).reshape(-1)
+        # orders of the local sweeps: places in ``nodes``
         self.forward = np.arange(len(self.nodes), dtype=np.int32)
         self.backward = self.forward[::-1].copy()
+        #: entries that a local sweep reads: its work
         self.nonzeros = len(self.blocks) + len(self.diagonal)
         #: what the local sweeps read
         self.arrays = (
@@ -454,9 +456,11 @@ class Interface:
         self.blocks = blocks.reshape(-1)
 
     def _set_followers(self, coupling: Coupling, place: np.ndarray, fixed: np.ndarray) -> None:
-        """Set the followers of each node, the slave nodes that its motion carries along, and their
-        weights W; slave nodes have none. Where all of them are open, the master is moved alone.
-        ``place`` (n_nodes,) is that of a node in ``nodes``, -1 elsewhere; ``fixed`` is a mask (n_dofs,)."""
+        """Set the followers of each node, the slave nodes that its motion carries along, node after node in
+        ``followers`` (k,), those of node i from ``follow_indptr[i]`` on, and their weights W, repeated for
+        each component, in the flat ``follow_weights`` (k * dim,); slave nodes have none. Where all
+        followers are open, the master is moved alone. ``place`` (n_nodes,) is that of a node in ``nodes``,
+        -1 elsewhere; ``fixed`` is a mask (n_dofs,)."""
         by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
         counts = np.diff(by_master.indptr)
         is_slave = np.diff(coupling.weights.indptr)[self.nodes] > 0
@@ -465,6 +469,7 @@ class Interface:
         of_master = np.repeat(~is_slave, counts)
         slave_nodes = by_master.indices[of_master]
         self.followers = place[slave_nodes]
+        # fixed components do not follow: their unknowns stay 0, whatever the master does
         free = ~fixed.reshape(-1, coupling.dim)[slave_nodes]
         self.follow_weights = (by_master.data[of_master, None] * free).reshape(-1)
 

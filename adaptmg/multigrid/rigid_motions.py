@@ -68,6 +68,7 @@ def _free_combinations(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray
     contact_nodes = problem.contact.nodes
     held = problem.fixed_nodes()
     nodes = np.concatenate([contact_nodes, held])
+    # without contact nodes no motion is sought; without coordinates none is known
     modes = near_nullspace_at(problem, nodes) if len(contact_nodes) else None
     if modes is None:
         return np.empty((0, 0)), np.empty((len(contact_nodes), problem.dim, 0))
@@ -171,12 +172,12 @@ class _Descent:
     """Steps of the motions towards the least energy, which change the values of the contact
     nodes."""
 
-    #: share of F up to which forces count as balanced; in 2D only a node that holds the body balances them
-    #: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
-    #: constants)
+    #: share of F up to which a gradient s counts as zero, by dimension. In 2D the friction of nodes that slip is
+    #: constant: only a node that holds the body brings s to zero, but for rounding; in 3D slips may turn until they
+    #: balance F. A hundredth and a hundred times change none of 119 solves, paths and loops (campaign constants)
     BALANCED: ClassVar[dict[int, float]] = {2: 1e-12, 3: 1e-2}
-    #: friction that does not hold the body yet is raised to this many times what holds it
-    #: any factor above 1 will do: 1.01 and 100 change none of 160 solves of random problems
+    #: friction that does not hold the body yet is raised to this many times what holds it. Any factor above 1 will do:
+    #: 1.01 and 100 change none of 160 solves of random problems
     ENOUGH: ClassVar[float] = 2.0
 
     def __init__(
@@ -224,7 +225,8 @@ class _Descent:
         speed = np.linalg.norm(slip_rate, axis=1)
         small = checks.ALIKE * max(speed.max(), np.abs(approach).max())
         bound[speed <= small] = 0.0
-        closing = ~closed & (approach > small) & np.isfinite(contact.gap)
+        closing = ~closed & (approach > small)
+        # lengths of the step at which nodes close, infinite without an obstacle, too
         closes_at = np.full(len(approach), np.inf)
         np.divide(contact.gap - self.values[:, 0], approach, out=closes_at, where=closing)
         first_closing = float(closes_at.min())
@@ -306,7 +308,7 @@ def _step_length(
     rubs = bound > 0
     size = np.linalg.norm(slip, axis=1)
     speed = np.linalg.norm(slip_rate, axis=1)
-    # after this length all slips have turned along the step
+    # after this length all slips have turned along the step; 1 where none is left, or nothing rubs
     longest = float((size[rubs] / speed[rubs]).max(initial=0.0)) or 1.0
     slope = friction_slope(slip, slip_rate, bound)
     return _root(lambda alpha: slope(alpha) - work, first=2.0 * longest, stop=stop)

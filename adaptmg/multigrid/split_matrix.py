@@ -250,7 +250,7 @@ def split(
     )
     nonzeros = (int(lower_indptr.sum() + upper_indptr.sum()) + n) * dim * dim
     dofs = np.flatnonzero(fixed)
-    held = mask_of(dofs // dim, n)
+    held = mask_of(dofs // dim, n)  # nodes with fixed dofs
     kinds = np.empty(0, dtype=np.int32)
     nodes = strips.order  # whose rows are stored
     if symmetric:
@@ -403,25 +403,28 @@ def _of_nested_elements(hierarchy: Grids, above: Level, below: Level) -> bool:
         return False
     if any(material.anisotropy or material.inelastic for material in fine.materials):
         return False
+    # of each mesh the lattices, by their numbers of cells along the axes
     lattices = fine.mesh.lattices, coarse.mesh.lattices
-    if [len(counts) for counts in lattices] != [1, 1] or (fine.mesh.box != coarse.mesh.box).any():
+    if [len(of_mesh) for of_mesh in lattices] != [1, 1] or (fine.mesh.box != coarse.mesh.box).any():
         return False
     # diagonals of cells lie on those of the coarse ones only where all axes are divided alike
-    ratios = {n / m for n, m in zip(*(counts[0] for counts in lattices), strict=True)}
+    ratios = {n / m for n, m in zip(*(only for (only,) in lattices), strict=True)}
     return len(ratios) == 1 and ratios.pop().is_integer()
 
 
 def _nested(
     above: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array
 ) -> bool:
-    """Return whether ``coarse`` is the Galerkin matrix. The answer is stored in the level above, with both
-    matrices that it holds for, since growing hierarchies ask each time."""
-    stored = above.__dict__.get("_galerkin_of")
-    if stored is None or stored[0] is not matrix or stored[1] is not coarse:
-        stored = matrix, coarse, is_galerkin(matrix, nodal, coarse)
+    """Return whether ``coarse`` is the Galerkin matrix P'AP of ``matrix`` A, P the prolongation of the level
+    ``above``: ``nodal`` is P with its columns sorted. The answer is stored in that level, with the
+    matrices and P, for which it holds, since growing hierarchies ask each time."""
+    key = matrix, coarse, above.prolongation
+    stored_key, answer = above.__dict__.get("_galerkin_of", ((None,) * 3, False))
+    if any(stored is not present for stored, present in zip(stored_key, key, strict=True)):
+        answer = is_galerkin(matrix, nodal, coarse)
         # next to the fields of the frozen level, which it follows from
-        object.__setattr__(above, "_galerkin_of", stored)
-    return stored[2]
+        object.__setattr__(above, "_galerkin_of", (key, answer))
+    return answer
 
 
 def is_galerkin(
@@ -441,7 +444,8 @@ def is_galerkin(
     probe = np.random.default_rng(0).random(coarse.shape[0]) - 0.5
     prolonged = np.zeros(matrix.shape[0])
     restricted = np.zeros(len(probe))
-    size = 2 * len(prolonged)
+    size = 2 * len(prolonged)  # about the numbers that a product with P reads
+    # P v, added to the zeros
     in_parts(add_prolonged, nodal.shape[0], size, *transfer, probe, prolonged, prolonged)
     colours = scattering(nodal.indices, nodal.indptr, size)
     in_colours(colours, restrict, *transfer, BlockRows.of(matrix).times(prolonged), restricted)
@@ -525,7 +529,7 @@ def subtract_half(first, last, order, zero, indptr, indices, half, u, result):
 
 @kernel
 def restrict(first, last, zero, indptr, indices, weights, r, coarse):
-    """Add P' r to ``coarse``; return r'r."""
+    """Add P' r to ``coarse``; return r'r, the square that norms of residuals sum."""
     dim = np.uint64(len(zero))
     squares = 0.0
     for node in range(first, last):

@@ -291,6 +291,7 @@ class TruncatedContact:
             # g/|tau| (I - tau tau'/|tau|^2)
             across = np.eye(2) - slip_direction[:, :, None] * slip_direction[:, None, :]
             hessian[slipping] = (self._bound[slipping, None] / size)[:, :, None] * across
+            # along a tangent that a support holds the slip is given
             direction[self.driven, 0] = 0.0
             hessian[self.driven, 0] = 0.0
             hessian[self.driven, :, 0] = 0.0
@@ -363,7 +364,7 @@ class TruncatedContact:
         # the gap of a spring does not limit the conditions, but a correction does not cross it
         same_side = np.where(closed, np.maximum(normal, self.gap), np.minimum(normal, self.gap))
         values[:, 0] = np.where(on_spring, same_side, normal)
-        values[self.driven, 1:2] = 0.0
+        values[self.driven, 1:2] = 0.0  # the unknown of the prescribed slip
         self.values[:] = values.reshape(-1)
         unknowns[dofs] = from_frames(frames, values)
 

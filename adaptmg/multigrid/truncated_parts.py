@@ -130,9 +130,8 @@ class Truncated(checks.Checked):
     'CONVERGED'
     """
 
-    #: how much denser than the finest matrix a coarse one is that is smoothed once only
-    #: half changes 28 of 119 solves, paths and loops, twice 10; cycles 691, 720, 686 (campaign
-    #: constants)
+    #: entries a row of a coarse matrix, over those of the finest one, above which it is smoothed once only. Half
+    #: changes 28 of 119 solves, paths and loops, twice 10; cycles 691, 720, 686 (campaign constants)
     DENSE: ClassVar[float] = 1.25
     smooth: int | Smoother = 1
     recombine: PastIterates = 4

@@ -111,9 +111,8 @@ class TruncatedStep:
     #: block of rubber takes 34 cycles from zero at 0, 21 at 2, 20 at 4, 19 without a limit; 130 solves of random bodies
     #: of rubber 1928, 1935, 1928, 1977
     UNIFORM_CHANGES = 4
-    #: share of a step of the pressures after a change of the status, and number of such steps
-    #: CAUTIOUS: half changes 4 of 119 solves, paths and loops, twice 5; cycles 691, 700, 682
-    #: (campaign constants)
+    #: share of a step of the pressures after a change of the status, and number of such steps. Half of the share
+    #: changes 4 of 119 solves, paths and loops, twice 5; cycles 691, 700, 682 (campaign constants)
     CAUTIOUS, CAUTIOUS_STEPS = 0.5, 2
     #: times that the interval in the search for the least energy is halved
     HALVINGS = 30
@@ -194,8 +193,10 @@ class TruncatedStep:
         pressures = iterate[self._n_dofs :]
         pressures[:] = begin[self._n_dofs :]
         load = coarse_residual[: self.coarse.n_dofs]
+        # only the first correction after a start or a move smooths first: no recombination makes up for it yet
         energy = self._corrected(begin, load, proposed, smooth=not state.corrected)
         contact = state.contact.copy()
+        # matrices with Newton rows are not symmetric: this energy may be negative
         if abs(energy) > (state.shorten_above * state.size) ** 2:
             unknowns = self.displacement(state)
             share = contact.closing_share(proposed)

@@ -277,7 +277,7 @@ class Truncation:
         prolongations: list[sparse.csr_array],
         contact: TruncatedContact,
     ) -> None:
-        """Collect the blocks of the finest matrix in rows and columns of contact nodes, and find the
+        """Collect the blocks of the finest matrix in rows or columns of contact nodes, and find the
         blocks below that their changes reach."""
         fine = levels[-1]
         rows, columns, blocks = _blocks_at_contact(fine, contact)
@@ -290,6 +290,7 @@ class Truncation:
         self.columns = columns[order]
         self.blocks = blocks[order].reshape(-1)
         self.change = np.zeros(len(self.blocks))
+        # nodal prolongations have a row for each node, others one for each dof
         if prolongations[-1].shape[0] == fine.n_nodes:
             self.products: NodalUpdate | DofUpdate = NodalUpdate(
                 levels[:-1], prolongations, self.rows, self.columns
@@ -314,7 +315,7 @@ class Truncation:
             contact.spring,
             newton,
             self.change,
-            *np.empty((2, contact.dim, contact.dim)),
+            *np.empty((2, contact.dim, contact.dim)),  # block and spare
         )
         self.products.update(self.change)
 
@@ -328,7 +329,8 @@ def _blocks_at_contact(
     fine: SplitMatrix, contact: TruncatedContact
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return rows (n,), columns (n,) and blocks (n, dim, dim) of a symmetric matrix, which stores L
-    alone, in rows and columns of contact nodes."""
+    alone, in rows or columns of contact nodes: first the diagonal ones, then the others, each followed
+    by its transpose."""
     dim = fine.dim
     # the first three shared arrays are kinds and the two index arrays of L
     found = in_parts(
@@ -352,7 +354,7 @@ def _blocks_at_contact(
 
 @kernel
 def _at_contact(first, last, order, kinds, indptr, indices, contact_of):
-    """Return the blocks of L in rows and columns of contact nodes (3, n): their numbers, block rows and
+    """Return the blocks of L in rows or columns of contact nodes (3, n): their numbers, block rows and
     block columns."""
     room = 0
     for place in range(first, last):
@@ -396,7 +398,8 @@ def _turn(zero, frames, k, inverse, rows, block, spare):
 
 @inner_kernel
 def _truncated(a, code, spring):
-    """Return whether component a of a contact node is truncated."""
+    """Return whether component a of a contact node with this code and ``spring``, N/m, is truncated: 0 is
+    the normal, which moves on where the surface is a spring; the others are tangents."""
     return code & CLOSED != 0 and not spring if a == 0 else code & TANGENTIAL == HELD
 
 

@@ -90,7 +90,7 @@ class Augmented:
         share_of_start = 1 - self._kappa * volumes.compliance  # 1 - kappa~ / kappa
         self._start_pressures = pressures
         self._offset = share_of_start * self._start_pressures
-        #: whether one solve suffices
+        #: whether one solve suffices: the share is 0, up to rounding, where kappa~ is kappa
         self.exact = not (share_of_start > 1e-12).any()
         # the part of the pressures that does not depend on the displacement acts as a load
         pressures_at_zero = self.pressures(np.zeros(problem.n_dofs))

@@ -150,7 +150,8 @@ class Linearised:
 
     @property
     def key(self) -> bytes:
-        """Return the contact status: the codes of :mod:`adaptmg.smoother.system`, as bytes."""
+        """Return the contact status: the codes of :mod:`adaptmg.smoother.system`, as bytes; with one tangent,
+        in 2D, also the direction of the slip."""
         backwards = ~(self.direction[:, 0] > 0) if self.direction.shape[1] == 1 else False
         return contact_codes(self.active, ~self.slip, backwards).tobytes()
 
@@ -194,6 +195,7 @@ def linearise(
     # B = s + mu max(0, z_n), z_t = q_t + c_t tau
     active = augmented > 0
     tau = unknowns[:, 1:] - contact.slip_reference
+    # the tangent of a bound that follows the state may be negative: there is no friction then
     bound = np.maximum(contact.limit + contact.friction * np.maximum(augmented, 0.0), 0.0)
     trial = residual[:, 1:] + c_t[:, None] * tau
     trial_size = np.linalg.norm(trial, axis=1)

@@ -111,7 +111,7 @@ def interior_point(
             break
         if springs and method.steps == _FIRST_STEPS and method.unbalanced > 0.5:
             method = _Method(unknowns, load, contact, springs.pop(0) * stiffness, offset)
-            method.iterate()
+            method.iterate()  # measures what the next step reads
             idle_steps = 0
         if not method.advance():
             break
@@ -227,6 +227,7 @@ class _Method:
         self.unknowns = np.zeros_like(self.load) if solve is None else solve(self.load)
         self.state[:, : self.dim] = self.span.values(self.unknowns) + offset
         self.least_energy = _LEAST * float(self.load @ self.unknowns)
+        # above 0, since lengths are divided by it
         self.least_length = max(_LEAST * np.abs(self.state[:, :3]).max(initial=0.0), 1e-300)
         self._start_pairs(springs[:, 0])
 
@@ -250,7 +251,7 @@ class _Method:
         state[:, [_GAP, _SLIP_BOUND]] = 1.0
         state[has_obstacle, _PRESSURE] = np.maximum(pressures, mean_pressure)
         state[has_obstacle, _GAP] = np.maximum(gaps, mean_gap)
-        # v > |tau|, by a tenth and the mean slip, where nothing slips by the mean gap
+        # v > |tau|, by a tenth and the mean slip, where nothing slips by the mean gap, and never 0
         distance = mean_slip if mean_slip > 0 else max(mean_gap, 1e-300)
         state[rough, _SLIP_BOUND] = 1.1 * slips + distance
 

@@ -57,6 +57,8 @@ from adaptmg.smoother.blocks import in_loop, nothing, plus_symmetric, subtract
 
 ONE, TWO = np.uint64(1), np.uint64(2)
 EPSILON = float(np.finfo(np.float64).eps)
+#: steps at most to the root of a node that slips: 71 000 random problems in 3D, with stiffnesses and forces over 16
+#: orders of magnitude, take 59 at most with a held tangent, and 40 without
 MAX_STEPS = 200
 
 
@@ -187,7 +189,8 @@ def solve_3d(
     """Solve the problem of one node in 3D, with tangents 1 and 2, and return (w_n, w_1, w_2); arguments
     are named as of :func:`solve_2d`."""
     if m_11 < 0.0:
-        # a support holds the first tangent, along which the node slips by -reference_1
+        # a support holds the first tangent, along which the node slips by -reference_1; where that is 0 the
+        # other tangent is that of a plane problem
         if reference_1 == 0.0:
             w_n, w_2 = solve_2d(
                 m_nn, m_n2, m_22, c_n, c_2, gap, reference_2, limit, friction, compliance
@@ -298,9 +301,10 @@ def _slip_held(
 
     c - b x - (limit + friction max(0, p_stick - a x)) x / sqrt(held_slip^2 + x^2)
 
-    between 0 and c / b, by Newton's method inside a bracket. ``held_slip`` is the slip along the other
-    tangent, which a support moves, not 0 (without it the bound does not depend on x); c is the
-    tangential force, N, without slip, b > 0 the stiffness, N/m; the pressure is p_stick - a x."""
+    between 0 and c / b, by Newton's method inside a bracket. ``held_slip``, m, is the slip along the other
+    tangent, which a support moves, not 0: with 0 the last factor, x / |x|, jumps at x = 0, where the node
+    may stick. c is the tangential force, N, without slip, b > 0 the stiffness, N/m; the pressure is
+    p_stick - a x."""
     low = min(0.0, c / b)
     high = max(0.0, c / b)
     slip = 0.0

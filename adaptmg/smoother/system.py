@@ -41,9 +41,9 @@ STIFF = checks.SIX_DIGITS
 #: nodal forces at which laws are linearised, within double precision, N: at the larger one hardly any surface yields.
 #: 1e-100 and 1e100, or 1e-300 and 1e300, change 18 solves with exponents 2 to 8 by rounding at most
 _FORCES = 1e-200, 1e200
-#: step of differences over pressures, and over slips
+#: steps of differences: by a pressure over this pressure, by slips over the largest slip
 _DIFFERENCE = checks.SIX_DIGITS
-#: slips over which they are taken at least, m; a hundredth and a hundred times change none of 8 solves
+#: the least that the largest slip counts there, m; a hundredth and a hundred times change none of 8 solves
 _SHORTEST = 1e-9
 
 

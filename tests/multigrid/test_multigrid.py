@@ -57,6 +57,23 @@ def test_levels_have_galerkin_matrices(changes, divisions):
         np.testing.assert_allclose(actual, expected, atol=1e-9 * np.abs(expected).max())
 
 
+def test_galerkin_matrices_follow_a_prolongation_that_changes():
+    # moduli that are tested, as those of anisotropic bodies are, and pass: they do not vary
+    wood = am.PlaneStrain.orthotropic(
+        young=(12e9, 0.8e9, 0.5e9), poisson=(0.4, 0.4, 0.5), shear=(0.7e9, 0.6e9, 0.1e9)
+    )
+    grids = am.Hierarchy.uniform(replace(am.cases.greco_bar(), material=wood), divisions=(2, 4))
+    galerkin_levels(grids, nodal_prolongations(grids))
+    finest = grids.finest.posing(prolongation=2 * grids.finest.prolongation)
+    changed = replace(grids, levels=(grids[0], finest))
+    actual, _ = galerkin_levels(changed, nodal_prolongations(changed))
+    free = ~grids[0].discrete.fixed
+    expected = 4 * grids[0].matrix.toarray()[np.ix_(free, free)]
+    np.testing.assert_allclose(
+        actual.matrix().toarray()[np.ix_(free, free)], expected, atol=1e-9 * expected.max()
+    )
+
+
 def test_hand_counted_work():
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
     ratio = [level.discrete.matrix.nnz / grids.finest.discrete.matrix.nnz for level in grids.levels]
