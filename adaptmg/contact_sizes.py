@@ -45,7 +45,8 @@ def finer_at_contact(
     ``remesh`` makes the coarsest mesh by such a field; elements of the finest mesh are ``share``
     times as large, and sizes grow by ``grading`` per distance on the coarsest.
     """
-    # n nodes in a row have n - 1 edges between them
+    # on the coarsest mesh, whose edges are 1 / share times as long: nodes in proportion to its cells, and in the
+    # plane one more, as n nodes in a row have n - 1 edges between them
     enough = FEW_NODES[mesh.dim] * share ** (mesh.dim - 1) + (mesh.dim == 2)
     first = mesh
     finer = None
@@ -92,7 +93,8 @@ def _sizes_of(
     for patch in patches:
         dim = points.shape[1]
         factor = 1.0 if len(patch.nodes) >= enough else patch.share_for(_AMPLE * enough, dim)
-        # edges around a patch of a single facet are longer than those of the facet
+        # the mean edge at a patch of few nodes contains longer edges around it: the size that was prescribed
+        # there counts if it is smaller
         prescribed = np.inf if previous is None else previous(points[patch.nodes]).min()
         sizes.append(factor * min(patch.size, prescribed))
 

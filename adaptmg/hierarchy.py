@@ -331,6 +331,7 @@ class Hierarchy(Grids):
         check_coarse_to_fine(meshes)
         meshed = clock()
         finest = level_of(problem, meshes[-1])
+        # of few unknowns levels are made when they are first read; errors of a given transfer come now
         on_demand = transfer is None and is_small(finest.discrete)
         posing = level_on_demand if on_demand else level_of
         joining = joined_on_demand if on_demand else joined
@@ -453,7 +454,8 @@ class Hierarchy(Grids):
             (*posed.contact_boundaries, *posed.masters, *posed.tied_boundaries)
             for posed in (self.problem, problem)
         )
-        if boundaries != asked and _exchanged(self.problem) == _exchanged(problem):
+        # the same sides, but slaves and masters exchanged, as sides="auto" does for another material
+        if boundaries != asked and _sides_of_contacts(self.problem) == _sides_of_contacts(problem):
             return self._assembled_again(problem)
         if boundaries != asked:
             raise ValueError(
@@ -493,7 +495,7 @@ def _values_of_levels(name: str, value: Any, single_types: tuple[type, ...]) -> 
     return values
 
 
-def _exchanged(problem: ContactProblem) -> list[frozenset[str]]:
+def _sides_of_contacts(problem: ContactProblem) -> list[frozenset[str]]:
     """Return the two boundaries of each contact, whichever is the slave."""
     return [
         frozenset(pair) for pair in zip(problem.contact_boundaries, problem.masters, strict=True)

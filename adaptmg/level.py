@@ -321,6 +321,7 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
     """Return the level ``above`` with its prolongation from the next coarser level ``below``."""
     from adaptmg.transfer.contact import between_levels
 
+    # of scalar problems all nodes may be contact nodes: there are no rows along boundaries
     if above.discrete.dim == 1:
         nodal = transfer.build(need_mesh(below), need_mesh(above))
         return Level(above.discrete, above.mesh, nodal)

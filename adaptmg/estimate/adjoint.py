@@ -206,7 +206,8 @@ class AdjointSystem:
                     field=self._field(y),
                     residual=residual,
                     iterations=0,
-                    converged=residual <= 1e-6,  # else the matrix is singular to rounding
+                    # a factorisation leaves rounding, unless the matrix is singular up to rounding
+                    converged=residual <= checks.SIX_DIGITS,
                 )
             )
         return result

@@ -514,10 +514,12 @@ class SizeField:
 
 
 def mean_sizes(coarse: MeshArrays, fine: MeshArrays, growth: float) -> SizeField:
-    """Return the geometric mean of the sizes of two meshes, at the nodes of the fine one, graded."""
+    """Return the geometric mean of the sizes of two meshes, at the nodes of the fine one, graded; at a
+    node that bodies share with the coarse size of the last of them."""
     of_coarse = SizeField(coarse, nodal_sizes(coarse, simplex_sizes(coarse)))
-    sizes = nodal_sizes(fine, simplex_sizes(fine))
+    of_fine = nodal_sizes(fine, simplex_sizes(fine))
+    sizes = np.empty(fine.n_nodes)
     for index, body in enumerate(fine.bodies):
         nodes = np.unique(fine.elements[fine.element_body == index])
-        sizes[nodes] = np.sqrt(sizes[nodes] * of_coarse.function(body)(fine.points[nodes]))
+        sizes[nodes] = np.sqrt(of_fine[nodes] * of_coarse.function(body)(fine.points[nodes]))
     return SizeField(fine, Grading(fine, growth)(sizes))

@@ -286,6 +286,7 @@ class HalvedError:
         self.fine = fine
         contact = fine.contact
         matrix, trial, test = error_spaces(contact)
+        # new nodes have the numbers after those of the mesh that is halved
         new = np.flatnonzero(trial & (np.arange(len(trial)) >= view.discrete.n_dofs))
         self.new = new
         self.test = sparse.csr_array(test[:, new].T)

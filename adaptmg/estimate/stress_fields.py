@@ -465,9 +465,6 @@ def _contact_forces(
             at = np.searchsorted(nodes, contact.node[rows])
             force[at] += contact.force[rows]
             has_force[at] = True
-            # in front of an obstacle a node takes over the forces of tied ones, and with them their mass
-            if not master:
-                mass[at] = np.maximum(mass[at], contact.weights[rows])
         if name in (slave, master):
             # forces on nodes without a condition: of the master, or of the slave where ``name`` is that
             rows = (contact.master_boundary == k) & (contact.master_is_slave == (slave == name))

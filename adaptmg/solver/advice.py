@@ -170,7 +170,7 @@ def _advise_on_chords(
         modulus_in_series = 1 / (1 / posed.young(pair.slave) + 1 / posed.young(pair.master))
         # p = .4 E' h / l, and its ratio to the least pressure that is reported
         pressure_by_chords = PRESSED * modulus_in_series * height / length
-        excess = pressure_by_chords / max(EXCESS * peaks[pressed].max(), 1e-300)
+        excess = pressure_by_chords / (EXCESS * peaks[pressed].max())
         if height > CHORDS * mean_gap or excess > 1:
             # an arc has heights like l^2, and so pressures like l
             size_needed = length * min(np.sqrt(CHORDS * mean_gap / height), 1 / excess)

@@ -195,9 +195,10 @@ class Aggregates:
         size, depth = _SIZE[dim]
         if n > _MANY[dim]:
             size = max(_LARGE, n // _MOST[dim])
-            # a round aggregate of this size is less deep: this stops those that grow long
+            # a round aggregate of this size is less deep: this stops those that grow long. Scalar problems,
+            # of dim 1, count as plane ones, as in _SIZE
             depth = round(0.9 * size ** (1 / max(dim, 2)))
-        # (n_groups,): nodes of an aggregate in a body, and in its contact nodes, a surface
+        # (n_groups,): nodes of an aggregate in a body, and in its contact nodes, a surface with fewer of them
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], n_bodies)
         label = np.full(n, -1, dtype=np.int32)
         queue, depths, members, group_of = np.empty((4, n), dtype=np.int32)

@@ -611,7 +611,8 @@ class Evidence:
         if wrong and aggregates is not None and not error <= self.energy_rounding:
             error = self._with_changed_status(conditions, error, aggregates)
         rounding = self.energy_rounding
-        # methods stop improving with forces of .07 to 1.2 times the rounding (beams of 50 to 147 : 1)
+        # methods stop improving with forces of .07 to 1.2 times the rounding (beams of 50 to 147 : 1). An error
+        # of the size of the solution is not rounding
         balanced = _norm(self.left) <= self.rounding
         if (
             aggregates is not None

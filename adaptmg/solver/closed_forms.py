@@ -80,7 +80,8 @@ def _condition(
     name: str, missed: np.ndarray, scale: float, rounding: float = 0.0, limit: float = ALLOWED
 ) -> Condition:
     """Return the line of a certificate on forces that are ``missed``, N, an array of any shape, over their
-    scale, N (0: they are not divided); ``limit`` is the largest ratio that passes."""
+    scale, N (0: they are not divided); ``limit`` is the largest ratio that passes (0: the tolerance
+    decides)."""
     total = float(np.linalg.norm(missed))
     largest = float(np.abs(missed).max(initial=0.0))
     scale = scale or 1.0
@@ -105,14 +106,13 @@ def _stiffness(
     mesh = posed.mesh
     materials = posed.materials
     springs = [support for support in problem.supports if isinstance(support, Spring)]
-    # next to volumes the stored matrix lacks a part of the stiffness; in axisymmetry an affine field has other
-    # stresses
+    # _stress takes isotropic materials whose Lame constant is finite; next to volumes the stored matrix lacks
+    # a part of the stiffness; in axisymmetry an affine field has other stresses
     covered = (
         all(elastic.anisotropy is None and np.isfinite(elastic.lame) for elastic in materials)
         and not any(isinstance(support, PointSpring) for support in problem.supports)
         and all(_numbers(spring.normal, spring.tangential) is not None for spring in springs)
         and not len(discrete.volumes)
-        and not any(isinstance(tie, Periodic) for tie in problem.ties)
         and not isinstance(materials[0], Axisymmetric)
     )
     # None also where unlike materials share nodes
@@ -343,7 +343,9 @@ class FreeBodies:
         for cells, blocks in self.springs:
             _add_at(spring_forces, cells, _spring_forces(cells, blocks, evidence.u))
         missed = self._missed(evidence, spring_forces)
-        scale = np.inf if evidence.idle else evidence.total  # over infinity: nothing to compare
+        # resultants, over the sum of all forces; over infinity where all forces are rounding
+        scale = np.inf if evidence.idle else evidence.total
+        # |sum of n numbers| <= sqrt(n) times their Euclidean norm
         rounding = evidence.rounding * np.sqrt(len(self.points))
         bodies = _condition("bodies", missed, scale, rounding, limit=0.0)
         if self.near is None:
@@ -364,7 +366,8 @@ class FreeBodies:
         _add_at(internal, near.cells, near.forces(evidence.u))
         of_matrix = discrete.physical_forces(discrete.load - evidence.residual)
         missed = internal[near.nodes] - of_matrix.reshape(internal.shape)[near.nodes]
-        # in axisymmetry the hoop stress varies within elements
+        # in axisymmetry only axial forces agree: radial ones contain the hoop stress, which varies within
+        # elements, while ``near`` has that of the centroid
         return missed[:, 1] if self.axisymmetric else missed
 
     def _missed(self, evidence: Evidence, spring_forces: np.ndarray) -> np.ndarray:
@@ -373,11 +376,14 @@ class FreeBodies:
         slave surfaces, minus those on slaves whose master lies on the body."""
         discrete = evidence.problem
         shape = self.points.shape
-        # friction along what supports hold counts as theirs: on masters it acts in other places
+        # contact forces on slave nodes, without the friction along directions that supports hold there: it
+        # stays in ``borne``, and so does the opposite friction, which loads master nodes that are held along
+        # the same directions, not the places opposite to the slave nodes
         claimed = np.zeros(shape)
         claimed[discrete.contact.nodes] = evidence.claimed
         claimed = discrete.free_part(claimed)
-        # what the equations leave, without ties and contact, is borne by supports
+        # supports bear A u - b without ties and contact, whose forces in relative coordinates act on slave
+        # nodes alone; ``borne`` (n_dofs,) acts on the bodies
         borne = discrete.physical_forces(-evidence.residual - evidence.tying - claimed)
         held = discrete.supported_part(borne.reshape(shape))
         on_slaves = [
@@ -453,8 +459,8 @@ def _free_bodies(discrete: DiscreteProblem, posed: Posed) -> FreeBodies:
 
 def _shift(condition: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarray | None:
     """Return the vector (dim,), m, from a plane slave surface to its master in a contact or tie
-    ``condition``, of periodic sides between their middles; None where nodes of either meet off the
-    normal."""
+    ``condition``, of periodic sides between their middles; None where the opposite forces do not act along
+    the normals from the slave nodes: at surfaces that are not plane, or coupled node by node."""
     slave_points, master_points = (
         mesh.points[mesh.boundary_nodes(name)] for name in (slave, master)
     )

@@ -380,12 +380,12 @@ class _Equations:
     ) -> float | None:
         """Return the energy of a solution and what its residual may hold, if the last step has settled it:
         where the least Ritz value has settled, and the energy that the residual may hold is small, or an
-        energy up to some multiples of ``negligible``, N m (_SURER); else None. ``energies``: those after
-        each step; ``column`` and ``product``: the energy products of the last direction with all, and its
+        energy up to some multiples of ``negligible``, N m (_SURER); else None. ``energies``: 0, then those
+        after each step; ``column`` and ``product``: the energy products of the last direction with all, and its
         r.Pr."""
         # the vectors P r_k, r_k residuals of unit length r.Pr, are the directions times R, so that the
         # energy of a combination P r c is |R c|^2: the least Ritz value is the square of the least
-        # singular value of R
+        # singular value of R. Products with directions that are not stored vanish
         step = len(energies) - 1
         energy = energies[-1]
         self._ritz_root[step - len(column) : step, step - 1] = column / np.sqrt(product)

@@ -326,10 +326,11 @@ class Examiner:
         missed = discrete.volumes.scale * discrete.volumes.missed(solved, pressures)
         size = float(np.hypot(euclidean_norm(whole), euclidean_norm(missed)))
         contact_norm = euclidean_norm(at_contact.reshape(-1))
-        unknowns = solved
+        unknowns = solved  # w: the prescribed values are subtracted where there are any
         if self.sizes.prescribed:
             unknowns = discrete.free_part(solved)
-            # a row sums terms of the size of its diagonal times its displacement
+            # supports may move bodies that nothing strains: all forces are then rounding, and are no scale. A
+            # row sums terms of the size of its diagonal times its displacement
             floor = ROUNDING * euclidean_norm(discrete.rows.diagonal() * unknowns)
             if size <= floor and self.sizes.nothing_strains(contact_norm, floor, unknowns):
                 return 0.0
@@ -342,7 +343,7 @@ class Examiner:
         if self._last is not None and np.array_equal(self._last[0], solution):
             return self._last[1]
         discrete = self.discrete
-        self._last = None
+        self._last = None  # frees its arrays before others are made
         residual = discrete.residual(solution)
         solved, pressures = discrete.parts(solution)
         displacement = discrete.physical(solved.reshape(discrete.n_nodes, discrete.dim))
@@ -406,6 +407,7 @@ class Examiner:
             slip, slip_size[:, None], out=np.zeros_like(slip), where=slides_held[:, None]
         )
         force_t = np.where(held, -limit[:, None] * direction, -force[:, 1:])
+        # ``values`` are zero along held tangents: ``states`` sees no slip there
         state[slides_held & (state == STICK)] = SLIP
         x = discrete.coordinates
         # gaps and displacements of a contact node contain those of the nodes of which it takes over the
@@ -653,8 +655,8 @@ class Patch:
 
     def share_for(self, nodes: float, dim: int) -> float:
         """Return the factor by which edges must change for about this number of nodes to touch there."""
-        # the patch ends somewhere beyond its last nodes; that of a node in the plane, or of a single
-        # facet in space, may be a point
+        # n nodes in a row have n - 1 edges; in space 3 nodes less, so that a single facet, as a single node in
+        # the plane, has none. At least half a cell, as the patch ends somewhere beyond its last nodes
         cells = max(len(self.nodes) - (1 if dim == 2 else 3), 0.5)
         return (cells / nodes) ** (1 / (dim - 1))  # cells grow like size^-(dim - 1)
 

@@ -253,9 +253,9 @@ class _Parts:
         if id(thing) in self._names:
             return self._names[id(thing)]
         module = _module_of(thing)
-        # classes that are sent to workers lose the name of the function around them
         name = self._home(module)
         if not isinstance(thing, ModuleType):
+            # of classes without the function around them, whose name is lost where they are sent to workers
             qualified = getattr(thing, "__name__" if isinstance(thing, type) else "__qualname__")
             name = f"{name}.{qualified}"
         if not self.is_own(module, thing) and not follow:
@@ -273,8 +273,9 @@ class _Parts:
         return self._main if module in _MAIN else module
 
     def is_own(self, module: str, thing: object = None) -> bool:
-        """Return whether a module, and a class in it, belongs to the user and is not compiled. The
-        version of a module that does not becomes a part."""
+        """Return whether a module belongs to the user and ``thing``, a function or class in it, if it is given,
+        is not compiled. Of any other module the text that compares it (:func:`_installed`), unless this is
+        empty, becomes a part."""
         if version := _installed(module):
             top = module.split(".")[0]
             self._parts[top if top == "adaptmg" else f"package {top}"] = version

@@ -114,6 +114,7 @@ def _levels_that_pay(grids: Grids) -> tuple[Grids, Solver, str]:
     least_ratio = WIDE[grids.finest.discrete.dim]
     if finest.discrete.dim * nodes[0] <= LARGE_COARSEST:  # its factors cost little
         return grids, _FULL_MULTIGRID, ""
+    # the finest level itself is too close to the coarsest, and contact dofs are few enough for dense factors
     if (
         nodes[-1] < least_ratio * nodes[0]
         and finest.discrete.dim * len(finest.discrete.contact) <= LARGE_COARSEST
@@ -252,6 +253,7 @@ def result_of(
         )
     outcome = _checked(outcome, examined, solver)
     status = outcome.status
+    # methods may end so where nothing but friction holds a body
     if status in (Status.CYCLING, Status.STALLED) or (run.fallback and not status.ok):
         advise_on_free_motions(examiner.discrete, examined.contact)
     if status.ok:
@@ -266,6 +268,7 @@ def result_of(
         checked=examined.checked,
         status=status,
         cycles=outcome.cycles,
+        # the examiner of a discrete problem does not know whether it is axisymmetric
         contact=replace(
             examined.contact, axisymmetric=stress_data is not None and stress_data.axisymmetric
         ),

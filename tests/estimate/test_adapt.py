@@ -191,11 +191,13 @@ def test_the_limits_bind_the_first_mesh(engine):
         with pytest.raises(ValueError, match=f"max_nodes must be at least {message}"):
             am.adapt(problem, start, engine=engine, max_nodes=most)
     assert next(am.adapt(problem, mesh, engine=engine, max_nodes=100)).nodes == 100
-    for start in (1e-4, 1e-200):
-        with pytest.raises(
-            ValueError, match=r"start must be at least 0\.00096 m for max_nodes=2000, got"
-        ):
-            am.adapt(problem, start, engine=engine, max_nodes=2000)
+    for start, most, message in (
+        (1e-4, 2000, r"0\.00096 m for max_nodes=2000, got"),
+        (1e-200, 2000, r"0\.00096 m for max_nodes=2000, got"),
+        (None, 30, r"0\.0078 m for max_nodes=30, the default is"),
+    ):
+        with pytest.raises(ValueError, match=f"start must be at least {message}"):
+            am.adapt(problem, start, engine=engine, max_nodes=most)
 
 
 @pytest.mark.parametrize(

@@ -253,9 +253,18 @@ def test_size_fields_are_linear_in_each_body(dim):
     field = SizeField(both, 1 + body)
     for k, name in enumerate(both.bodies):
         assert (field.function(name)(both.points[body == k]) == 1 + k).all()
-    coarse, fine = structured(2, 2), structured(32, 2)
-    mean = mean_sizes(coarse, fine, 10.0)
-    expected = np.sqrt(
-        nodal_sizes(coarse, simplex_sizes(coarse))[0] * nodal_sizes(fine, simplex_sizes(fine))
-    )
-    np.testing.assert_allclose(mean.sizes, expected, rtol=1e-9)
+    whole = structured(2, 2), structured(32, 2)
+    halves = [
+        replace(
+            mesh,
+            bodies=("left", "right"),
+            element_body=(mesh.points[mesh.elements].mean(axis=1)[:, 0] > 0.5).astype(int),
+        )
+        for mesh in whole
+    ]
+    for coarse, fine in (whole, halves):  # bodies that share nodes, too
+        mean = mean_sizes(coarse, fine, 10.0)
+        expected = np.sqrt(
+            nodal_sizes(coarse, simplex_sizes(coarse))[0] * nodal_sizes(fine, simplex_sizes(fine))
+        )
+        np.testing.assert_allclose(mean.sizes, expected, rtol=1e-9)
