@@ -75,7 +75,7 @@ def two_block_patch(
     normal = pressure * math.cos(turn) ** 2 + side_pressure * math.sin(turn) ** 2
     tangential = abs(pressure - side_pressure) * math.sin(turn) * math.cos(turn)
     most = _bound(law, normal)
-    if not tangential <= most * (1 + 1e-12):
+    if not tangential <= most * (1 + 1e-12):  # up to rounding
         raise ValueError(
             f"the interface has to bear a tangential traction of {tangential:.6g} Pa, the law allows "
             f"{most:.6g} Pa at the pressure {normal:.6g} Pa: take side_pressure = pressure, for example"
@@ -155,7 +155,8 @@ def _held(
     dim: int, sloping: bool, pressure: float, side: float
 ) -> tuple[list[am.Pressure], list[am.Support]]:
     """Return the loads and supports of the two blocks, under ``pressure`` on the head and ``side`` on
-    the sides. In 3D the first boundary of ``depth`` is held, the second loaded."""
+    the sides. In 3D the first boundary of ``depth`` is held, the second loaded; it runs along z in
+    extrusions, which slope, along y in boxes."""
     if sloping:
         walls = ("right", "shoulder")
         head = "upper.head"
@@ -165,7 +166,7 @@ def _held(
         walls = ("right",)
         head = "upper.top"
         foot = am.Support("lower.bottom", y=0.0)
-        depth = ("", "")
+        depth = ("", "")  # of no use in the plane
     else:
         walls = ("right",)
         head = "upper.top"

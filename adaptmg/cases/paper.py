@@ -157,7 +157,7 @@ def _patch_test(
     """Return the reference values of the bar without friction: uniform stress."""
     nu = material.poisson
     strain = (-(1 - nu**2) * side_pressure + nu * (1 + nu) * top_pressure) / material.young
-    # where the points lie along the bottom, over its length
+    # where the points lie along the bottom, over its length: _POINTS are those of a bar of 40 mm
     fractions = {"A": 0.0, "B": 1.25 / 40, "C": 5 / 40, "D": 7.5 / 40, "E": 11.25 / 40}
     exact = {name: -(1 - fraction) * size * strain for name, fraction in fractions.items()}
     return {

@@ -70,8 +70,9 @@ def prandtl_punch(
     """Pose a flat rigid punch that is pressed into a plastic block; plane strain, one half by
     symmetry.
 
-    ``reference`` holds ``limit``, the largest mean pressure without hardening, Pa, ``half_width``
-    and ``sources``. The motion of the punch has the name "punch" in load paths.
+    ``reference`` holds ``quantity`` (what the limit is of, as text), ``limit``, the largest mean pressure
+    without hardening, Pa, ``half_width``, m, and ``sources``. The motion of the punch has the name "punch"
+    in load paths.
 
     Parameters
     ----------
@@ -92,22 +93,24 @@ def prandtl_punch(
     2.9685
     """
     a = checks.quantity("half_width", half_width, positive=True)
-    depth = checks.quantity("displacement", displacement, positive=True)
+    indentation = checks.quantity("displacement", displacement, positive=True)
     steel = am.Plastic(
         am.PlaneStrain(young=young, poisson=poisson),
         yield_stress=yield_stress,
         hardening=hardening,
     )
-    wide = _WIDTH * a
-    deep = _DEPTH * a
+    width = _WIDTH * a
+    depth = _DEPTH * a
     punch = am.Moving(
-        am.Plane(point=(0.0, 0.0), normal=(0.0, -1.0)), displacement=(0.0, -depth), name="punch"
+        am.Plane(point=(0.0, 0.0), normal=(0.0, -1.0)),
+        displacement=(0.0, -indentation),
+        name="punch",
     )
     return am.ContactProblem(
         name="Prandtl's punch",
         material=steel,
         domain=am.Polygon(
-            vertices=((0.0, -deep), (wide, -deep), (wide, 0.0), (a, 0.0), (0.0, 0.0)),
+            vertices=((0.0, -depth), (width, -depth), (width, 0.0), (a, 0.0), (0.0, 0.0)),
             boundaries=("bottom", "side", "free", "contact", "symmetry"),
         ),
         contact=am.Contact("contact", punch),
@@ -142,8 +145,9 @@ def pierced_plate(
     """Pose a square plate with a round hole that rigid plates squeeze beyond its yield limit; plane
     strain, one quarter by symmetry.
 
-    ``reference`` holds ``limit``, the largest mean pressure without hardening, Pa, ``half_width``
-    and ``sources``. The motion of the plate has the name "press" in load paths.
+    ``reference`` holds ``quantity`` (what the limit is of, as text), ``limit``, the largest mean pressure
+    without hardening, Pa, ``half_width``, m, and ``sources``. The motion of the plate has the name "press"
+    in load paths.
 
     Parameters
     ----------
@@ -167,14 +171,14 @@ def pierced_plate(
     a = checks.quantity("radius", radius, positive=True)
     if not a < b:
         raise ValueError(f"radius must be < half_width, {b:g}, got {a:g}")
-    depth = checks.quantity("displacement", displacement, positive=True)
+    approach = checks.quantity("displacement", displacement, positive=True)
     steel = am.Plastic(
         am.PlaneStrain(young=young, poisson=poisson),
         yield_stress=yield_stress,
         hardening=hardening,
     )
     press = am.Moving(
-        am.Plane(point=(0.0, b), normal=(0.0, -1.0)), displacement=(0.0, -depth), name="press"
+        am.Plane(point=(0.0, b), normal=(0.0, -1.0)), displacement=(0.0, -approach), name="press"
     )
     return am.ContactProblem(
         name="pierced plate",
@@ -210,8 +214,8 @@ def hill_cylinder(
     """Pose a thick tube that yields under inner pressure; axisymmetric, a slice of it in plane
     strain, without contact.
 
-    ``reference`` holds ``plastic_radius``, c, m, ``limit``, the pressure at which all of the tube
-    yields, Pa, ``stress`` and ``residual_stress``, functions of the radius, m, that return the
+    ``reference`` holds ``quantity`` (as text), ``plastic_radius``, c, m, ``limit``, the pressure at which
+    all of the tube yields, Pa, ``stress`` and ``residual_stress``, functions of the radius, m, that return the
     radial and the hoop stress (2, n), Pa, under the pressure and after it, and ``sources``. The tube
     yields again as the pressure is taken away, and there is no ``residual_stress``, where the
     pressure is above twice that at which yield begins.
@@ -311,8 +315,8 @@ def upset_billet(
 ) -> am.ContactProblem:
     """Pose a round billet that is pressed between two rough plates; axisymmetric, its upper half.
 
-    ``reference`` holds ``pressure``, the mean pressure of slabs without hardening, Pa, ``radius``
-    and ``sources``. The motion of the plate has the name "plate" in load paths.
+    ``reference`` holds ``quantity`` (as text), ``pressure``, the mean pressure of slabs without hardening,
+    Pa, ``radius``, m, and ``sources``. The motion of the plate has the name "plate" in load paths.
 
     Parameters
     ----------
@@ -335,14 +339,14 @@ def upset_billet(
     friction = checks.nonnegative("friction", friction)
     r = checks.quantity("radius", radius, positive=True)
     half = 0.5 * checks.quantity("height", height, positive=True)
-    depth = half * checks.quantity("compression", compression, positive=True)
+    approach = half * checks.quantity("compression", compression, positive=True)
     steel = am.Plastic(
         am.Axisymmetric(young=young, poisson=poisson),
         yield_stress=yield_stress,
         hardening=hardening,
     )
     plate = am.Moving(
-        am.Plane(point=(0.0, half), normal=(0.0, -1.0)), displacement=(0.0, -depth), name="plate"
+        am.Plane(point=(0.0, half), normal=(0.0, -1.0)), displacement=(0.0, -approach), name="plate"
     )
     return am.ContactProblem(
         name="upset billet",

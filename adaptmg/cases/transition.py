@@ -219,7 +219,12 @@ class TransitionField:
             float(np.sum(mesh.volumes[:, None] * weights * self._density(stress)))
             for stress in (difference, exact)
         )
-        return EnergyError(math.sqrt(error), math.sqrt(error / energy), math.sqrt(energy), 0.0)
+        return EnergyError(
+            absolute=math.sqrt(error),
+            relative=math.sqrt(error / energy),
+            norm=math.sqrt(energy),
+            allowance=0.0,  # the reference is exact
+        )
 
     def _density(self, stress: np.ndarray) -> np.ndarray:
         """Return sigma : C^-1 sigma of stresses (..., 3), xx, yy, xy, in plane strain."""
@@ -246,7 +251,7 @@ def _complex(points: np.ndarray) -> _Complex:
     """Return complex coordinates (n,); points below the plane by rounding are moved onto it, where the
     fields have a cut."""
     points = np.asarray(points, dtype=np.float64)
-    return points[:, 0] + 1j * (np.maximum(points[:, 1], 0.0) + 0.0)
+    return points[:, 0] + 1j * (np.maximum(points[:, 1], 0.0) + 0.0)  # + 0.0: no -0.0
 
 
 def _derivatives(

@@ -118,7 +118,7 @@ def _parameters(function: Maker) -> dict[str, tuple[inspect.Parameter, tuple[typ
     () for numbers and texts."""
     result = {}
     for name, item in inspect.signature(function).parameters.items():
-        if name == "store":
+        if name == "store":  # a folder, which is an option of its own
             continue
         if str(item.annotation).startswith(("Literal", *_WORDS)):
             result[name] = (item, ())

@@ -524,7 +524,8 @@ def _origin(records: Sequence[Record]) -> dict[str, str]:
             ", ".join(map(" ".join, record.versions.items())) for record in records
         },
     }
-    times = sorted(record.finished[:16] for record in records)
+    times = sorted(record.finished[:16] for record in records)  # up to the minute
+    # at most three of each are named
     return {name: "; ".join(sorted(texts)[:3]) for name, texts in facts.items()} | {
         "runs made": f"{times[0]} to {times[-1]} UTC"
     }

@@ -338,8 +338,8 @@ def solve_path(
     callback : callable, optional
         Called with the number and the Result of each step when it is finished, and kept.
     progress : callable or bool, optional
-        Called with the number of the step and each row of its history. True: write a line a step to
-        standard error.
+        Called with the number of the step, from 0 on, and each row of its history. True: write a line a
+        step to standard error.
 
     Raises
     ------

@@ -131,8 +131,8 @@ def march(
         Raise NotConverged if a step does not reach the tolerance. False ends the march with that
         step, whose status says it.
     progress : callable or bool, optional
-        Called with the number of the step and each row of its history. True: write a line a step to
-        standard error.
+        Called with the number of the step, from 0 on, and each row of its history. True: write a line a
+        step to standard error.
 
     Yields
     ------

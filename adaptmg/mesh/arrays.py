@@ -190,11 +190,13 @@ class MeshArrays:
         # every pair of corners of a cell is an edge
         ends = np.concatenate([cells[:, [a, b]] for a in range(cells.shape[1]) for b in range(a)])
         edges = np.unique(np.sort(ends, axis=1), axis=0)
+        # at most a picture of 5 MB: an edge takes about 25 characters
         if not 0 < len(edges) <= 10 * _MANY:
             return None
         # in the plane of the picture, whose second axis points down
         seen = self.points[edges] @ (np.diag([1.0, -1.0]) if self.dim == 2 else _VIEW)
         seen -= seen.min(axis=(0, 1))
+        # the largest coordinate is 0 if all nodes of an unsound mesh coincide
         at = seen * (_SIZE / (seen.max() or 1.0)) + _MARGIN
         width, height = np.ceil(at.max(axis=(0, 1)) + _MARGIN).astype(int)
         path = "".join(f"M{x:.1f} {y:.1f}L{u:.1f} {v:.1f}" for (x, y), (u, v) in at.tolist())

@@ -189,8 +189,8 @@ def refine_near(
         raise ValueError("boundaries must name at least one boundary")
     meshes = [check_mesh(mesh, names)]
     facets = sum(len(mesh.boundary_facets(name)) for name in names)
-    # each facet is cut in 2 (3D: 4) a level. There are several new nodes for each of the facets then:
-    # 4.7 after 4 levels on a square, 2.3 after 3 on a cube. The exponent is limited against overflow
+    # each facet is cut in 2 (3D: 4) a level. There are at least one (3D: two) new nodes for each of the facets
+    # then: 4.7 after 4 levels on a square, 2.3 after 3 on a cube. The exponent is limited against overflow
     expected = facets * (mesh.dim - 1) * 2.0 ** min((mesh.dim - 1) * levels, 1000)
     if mesh.n_nodes + expected > MAX_NODES[mesh.dim]:
         raise ValueError(

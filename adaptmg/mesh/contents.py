@@ -114,9 +114,8 @@ def _check(contents: Contents) -> None:
     if other := sorted(
         {kind for kind, nodes in contents.cells if len(nodes) and kind not in KINDS}
     ):
-        raise ValueError(
-            f"it holds {', '.join(other)}; elements must be {', '.join(list(KINDS)[2:])}"
-        )
+        elements = [kind for kind in KINDS if dimension(kind) > 1]
+        raise ValueError(f"it holds {', '.join(other)}; elements must be {', '.join(elements)}")
     for nodes in (*(nodes for _, nodes in contents.cells), *contents.node_sets.values()):
         if len(nodes) and not 0 <= nodes.min() <= nodes.max() < len(contents.points):
             raise ValueError("elements or sets name nodes that it does not hold")
@@ -152,7 +151,7 @@ def _cut_into_simplices(
             "it holds plane elements only, but they are not in a plane z = constant: z runs from "
             f"{used[:, 2].min():.6g} to {used[:, 2].max():.6g}; a body in space needs solid elements"
         )
-    notes = [cut_note(kind, np.concatenate(parts)) for kind, parts in counts.items()]
+    notes = [cut_note(kind, np.concatenate(numbers)) for kind, numbers in counts.items()]
     return points[:, :dim], elements, block, row, list(filter(None, notes))
 
 

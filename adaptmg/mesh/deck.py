@@ -168,6 +168,7 @@ class _Deck:
         if block is None:
             return
         try:
+            # nodes in other coordinates (*NODE, SYSTEM=...) are refused like *SYSTEM
             if refusal := _REFUSED.get(
                 "SYSTEM"
                 if block.keyword == "NODE" and "SYSTEM" in block.parameters
@@ -210,7 +211,7 @@ class _Deck:
         """Read the elements of *ELEMENT: number and nodes of each, in one line or in several."""
         element_type = block.parameters.get("TYPE", "")
         name = block.parameters.get("ELSET", "")
-        # of unknown types it is not known how many numbers an element has
+        # of unknown types, whose number of nodes is not known, no line is read, and the width does not matter
         width = 1 + KINDS[_kind(element_type) or "vertex"][1]
         rows = []
         for line in block.data if _kind(element_type) else ():
@@ -232,7 +233,7 @@ class _Deck:
 
     def _set(self, block: _Block) -> None:
         """Read the members of *NSET or *ELSET: numbers, names of sets, or with GENERATE the first
-        number, the last one and the step."""
+        number, the last one and the step, 1 where it is left out."""
         members = self.sets[block.keyword].setdefault(
             block.parameters.get(block.keyword, ""), [_counted(np.empty(0))]
         )

@@ -98,7 +98,8 @@ class Netgen:
         end = time.monotonic() + _PATIENCE * seconds
 
         def watch() -> None:
-            # kill the process when its time is up, which ends the wait for its answer
+            # kill the process when its time is up, which ends the wait for its answer. The next look is after
+            # what is left of its time, but at most ten times a second
             left = seconds
             while not done.wait(min(max(left, 0.1), threading.TIMEOUT_MAX)):
                 left = min(seconds - self._processor_seconds() + start, end - time.monotonic())

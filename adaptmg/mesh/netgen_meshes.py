@@ -114,6 +114,10 @@ _MOVES = 3
 _SHARP = 1.0
 # area over the square of the longest edge, below which a triangle is flat: 1 degree
 _FLAT = math.tan(math.radians(_SHARP)) / 2
+# of the volume: the deviation of a mesh that chords do not explain. OCC compares lengths with 1e-7 of the extent,
+# which is this part of the volume of a plate with a hundredth of the extent as thickness; measured, 4 random solids
+# with plane faces deviate by 4e-16 at most, and 8 with round ones by .15 to .37 of the bound for chords
+_UNEXPLAINED = 1e-5
 # digits that rounding leaves of the coordinates of plane faces
 _DIGITS = 14
 
@@ -134,7 +138,8 @@ def plane_mesh(
     rounds: int,
 ) -> MeshArrays:
     """Mesh a plane domain by a size field, which is at most ``size``, and ``near`` along the
-    boundaries ``names``: Netgen makes a draft in ``rounds`` + 1 rounds, bisection the rest."""
+    boundaries ``names`` (None: it may be small anywhere): Netgen makes a draft in ``rounds`` + 1 rounds,
+    with the smallest sizes that it can take, bisection the rest."""
     start = size / _NETGEN_RATIO if near is None else _raised(near, size)
     mesh = finished(
         domain,
@@ -181,7 +186,9 @@ def _plane_draft(
             volume,
             size,
             sum(lengths[name] for name in sides),
-            min(sides.values(), default=1.0),
+            min(
+                sides.values(), default=1.0
+            ),  # without sides, whose lengths are 0 then, of no effect
             grading,
         ),
         domain,
@@ -308,7 +315,7 @@ class SolidSizes:
 
     size: float  # largest
     names: tuple[str, ...] = ()  # boundaries along which edge lengths are ``near``
-    near: float = 1.0
+    near: float = 1.0  # of no effect without names
     grading: float = GRADING  # growth of the edge length per distance, above 0 and at most 1
     function: float | SizeField | None = None  # edge lengths that are not exceeded either
 
@@ -748,8 +755,7 @@ def _in_metres(unit: MeshArrays, shape: Shape, turn: np.ndarray, offset: np.ndar
 
 def check_volume(mesh: MeshArrays, volume: float) -> None:
     """Raise NetgenFails unless the volume is right but for the chords of curved faces."""
-    # a mesh without chords differs by rounding, and by the 1e-7 of the extent to which OCC compares
-    bound = _left_by_chords(mesh) + 1e-5 * volume
+    bound = _left_by_chords(mesh) + _UNEXPLAINED * volume
     meshed = float(mesh.volumes.sum())
     if not abs(meshed - volume) <= bound:
         raise NetgenFails(

@@ -49,7 +49,7 @@ Tables = tuple[
 #: points (n, dim) and the sizes (n,) there, at most, at unit size
 Sizes = Sequence[tuple[np.ndarray, np.ndarray]]
 
-# Netgen's element types of first and second order
+# the shapes of Netgen's element types; 12, 14 and 21 are of second order, of which only the corners are read
 _KINDS = {10: "triangle", 12: "triangle", 11: "quad", 14: "quad", 20: "tetra", 21: "tetra"}
 _KINDS |= {22: "pyramid", 23: "wedge", 25: "hexahedron"}
 # largest angle of a spline, of which an arc is one or several
@@ -163,8 +163,9 @@ def ngsolve_mesh(
 def _cut_into_simplices(
     table: np.ndarray, points: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the simplices (n, dim + 1) that the elements (or without ``points`` facets) of a ``table`` of
-    Netgen are, or are cut into, and the body (label) of each (n,), from 0."""
+    """Return the simplices that the elements of a ``table`` of Netgen are, or are cut into, (n, dim + 1), or
+    without ``points`` (n_nodes, dim) its facets, (n, dim), and the body (label) of each (n,), from 0. Middle
+    nodes of second order, which only files can have, are left out: bodies have straight elements."""
     from adaptmg.mesh.shapes import KINDS, simplices
 
     cells = []
@@ -174,6 +175,7 @@ def _cut_into_simplices(
             raise ValueError(f"the mesh has elements of Netgen's type {number}, which is not read")
         kind = _KINDS[number]
         rows = np.flatnonzero(table["type"] == number)
+        # the corners come first
         nodes = table["nodes"][rows, : KINDS[kind][1]].astype(np.int64) - 1
         simple = kind in ("triangle", "tetra")
         found, cell_of = (nodes, np.arange(len(rows))) if simple else simplices(kind, nodes, points)

@@ -75,7 +75,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     depth = _depth(parents, n_old)
     # nodes whose move would spoil an element stay, and all others are moved again
     stays = np.zeros(mesh.n_nodes, dtype=bool)
-    near = None
+    near = None  # elements with a node that moves in the first try: later tries move fewer nodes
     for _ in range(_MAX_TRIES):
         points = _points_on_surfaces(mesh, parents, sides, depth, stays, n_old)
         moved = (points != mesh.points).any(axis=1)

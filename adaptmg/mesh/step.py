@@ -108,7 +108,7 @@ def _chosen(
         base, _, number = entry.rpartition(".")
         if not same and number.isdecimal():
             instances = [k for k, name in enumerate(named) if name == _without_dots(base)]
-            same = instances[int(number) - 1 : int(number)] if int(number) else []
+            same = instances[int(number) - 1 : int(number)]  # none for 0: [-1:0] is empty
         if not same:
             raise ValueError(
                 f"solids: there is no solid {entry!r}{checks.suggestion(entry, bodies)}; "

@@ -313,7 +313,7 @@ def _coloring(result: Result, shown: Sequence[str]) -> Coloring | list[str]:
             False,
             f"von Mises stress [{unit}], maximum {style.number(largest)}",
             Normalize(0.0, top),
-            clipped=largest > 1.001 * top,
+            clipped=largest > 1.001 * top,  # more than the three digits of labels show
         )
     for name, symbol, unit in (("displacement", "u", "m"), ("velocity", "v", "m/s")):
         if name not in shown:
@@ -357,7 +357,7 @@ def state_marks(mesh: MeshArrays, contact: ContactResult) -> Marks:
         state = np.full(mesh.n_nodes, -1)
         rows = contact.boundary == k
         state[contact.node[rows]] = contact.state[rows]
-        # of scalar problems there is none
+        # none where the mesh has no boundary of this name, as in scalar problems
         facets = np.array(mesh.boundaries)[mesh.facet_labels] == name
         codes[facets] = state[mesh.facets[facets]]
     codes[codes.min(axis=1) < 0] = -1

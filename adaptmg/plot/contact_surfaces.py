@@ -124,6 +124,7 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     c = result.contact
     lines = lines_of(result, name, near_contact=True)
     nodes = np.concatenate([line.index for line in lines])
+    # in micrometres at least: smaller ones are rounding where all nodes are closed and stuck
     scale, unit = style.scaled(
         max(1e-6, np.abs(c.gap[nodes]).max(), np.abs(c.slip[nodes]).max()), "m"
     )
@@ -198,8 +199,9 @@ def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
     at = flat.index
     share, stress_unit = style.stresses()
     largest = share * float(c.pressure.max())
-    scale, unit = style.scaled(max(1e-6, np.abs(c.gap[at]).max()), "m")
-    # closed everywhere: a gap of a nanometre is rounding
+    scale, unit = style.scaled(max(1e-6, np.abs(c.gap[at]).max()), "m")  # in micrometres at least
+    # what varies by less than 1e-9 of the reference is drawn as 0: of the gap, whose reference is a metre, less
+    # than a nanometre, which is rounding where all nodes are closed
     for ax, values, label, reference in (
         (axes[0], share * c.pressure[at], f"contact pressure p [{stress_unit}]", largest),
         (
@@ -493,9 +495,9 @@ def load_history(
     against : str
         The label of ``factors``, with their unit.
     steps : int
-        The largest number of steps drawn for each contact boundary: the first, the last, those of
-        the largest factor and pressure, and others between them; 0 for none. The title says how
-        many are left out.
+        The largest number of steps drawn for each contact boundary: in this order of preference the
+        first, the last, those of the largest factor and pressure, and others between them; 0 for
+        none. The title says how many are drawn.
 
     Examples
     --------
@@ -561,13 +563,18 @@ def _checked(results: Sequence[Result], factors: ArrayLike) -> tuple[list[Result
 
 
 def _shown(results: list[Result], factors: np.ndarray, steps: int) -> np.ndarray:
-    """Return the numbers of the ``steps`` results to draw: evenly spread, but with those of the
-    largest of the ``factors`` (n_results,) and the largest pressure."""
-    shown = np.linspace(0, len(results) - 1, min(steps, len(results))).round().astype(int)
-    for values in (factors, [result.contact.pressure.max(initial=0.0) for result in results]):
-        if len(shown) > 2 and (peak := np.argmax(values)) not in shown:
-            shown[1 + np.argmin(np.abs(shown[1:-1] - peak))] = peak
-    return shown
+    """Return the numbers of the ``steps`` results to draw, in order: evenly spread, but with the first, the
+    last, those of the largest of the ``factors`` (n_results,) and the largest pressure. Of more of these
+    than ``steps`` the ones named first are drawn."""
+    last = len(results) - 1
+    pressures = [result.contact.pressure.max(initial=0.0) for result in results]
+    peaks = [int(np.argmax(values)) for values in (factors, pressures)]
+    required = list(dict.fromkeys([0, last, *peaks]))[:steps]
+    shown = np.linspace(0, last, min(steps, len(results))).round().astype(int)
+    for step in np.setdiff1d(required, shown):
+        others = np.flatnonzero(~np.isin(shown, required))
+        shown[others[np.argmin(np.abs(shown[others] - step))]] = step
+    return np.sort(shown)
 
 
 def _evaluate(

@@ -159,7 +159,7 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
     # the line goes on from (at, height); two actions on one level are drawn next to each other
     at = 0.0
     height = entries[0][0]
-    before = "restrict"
+    before = "restrict"  # any transfer: there is no action next to which the first one is drawn
     for level, action, times in entries[:steps]:
         # a restriction is recorded on the level it leaves, the others on the one they reach
         reached = level - 1 if action == "restrict" else level
@@ -191,7 +191,7 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
             ax.text(
                 at,
                 level,
-                str(times) if times < 100 else "",
+                str(times) if times < 100 else "",  # three digits are wider than the mark
                 ha="center",
                 va="center",
                 fontsize="x-small",
@@ -269,7 +269,8 @@ def adaptation(steps: Sequence[Step]) -> Figure:
         ncols=3,
         fontsize="small",
     )
-    # the indicator, at most four decades of it in colour
+    # the indicator, at most four decades of it in colour, and from half of the largest value on if all are equal:
+    # a logarithmic scale needs two ends
     parts = np.sqrt(last.estimate.squares)
     largest = float(parts.max()) or 1.0
     norm = LogNorm(

@@ -198,6 +198,7 @@ def _draw_plane(
                     list(scale * mesh.points[mesh.boundary_facets(boundary)]),
                     color=color,
                     zorder=4,
+                    # masters, drawn after their slaves, leave these visible where both touch
                     linewidth=2.0 if color == _MASTER else 4.0,
                     capstyle="round",
                 )

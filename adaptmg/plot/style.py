@@ -393,6 +393,7 @@ STATE_NAMES: dict[int, str] = {OPEN: "open", SLIP: "slip", STICK: "stick"}
 
 def shade(ax: Axes, position: np.ndarray, state: np.ndarray) -> None:
     """Shade the background in runs of equal state, which meet half way between nodes."""
+    # a run begins at each state that differs from the one before, that of the first node from state[0] - 1
     starts = np.flatnonzero(np.diff(state, prepend=state[0] - 1))
     ends = np.append(starts[1:], len(state)) - 1
     for a, b in zip(starts, ends, strict=True):

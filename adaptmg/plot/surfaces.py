@@ -169,7 +169,7 @@ def raster_triangles(corners, colors, ink, width, image, depth):
         x1, y1, z1 = corners[t, 1]
         x2, y2, z2 = corners[t, 2]
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        if abs(area) < 1e-12:
+        if abs(area) < 1e-12:  # pixels: it is seen from the side
             continue
         # lengths of the sides opposite each corner
         l0 = ((x2 - x1) ** 2 + (y2 - y1) ** 2) ** 0.5
@@ -187,6 +187,7 @@ def raster_triangles(corners, colors, ink, width, image, depth):
                 w0 = ((x1 - x) * (y2 - y) - (x2 - x) * (y1 - y)) / area
                 w1 = ((x2 - x) * (y0 - y) - (x0 - x) * (y2 - y)) / area
                 w2 = 1.0 - w0 - w1
+                # more than rounding, which must leave no pixel between two triangles out of both
                 if w0 < -1e-9 or w1 < -1e-9 or w2 < -1e-9:
                     continue
                 z = w0 * z0 + w1 * z1 + w2 * z2
@@ -272,6 +273,7 @@ def view_of(ax: Axes3D, corners: np.ndarray) -> None:
 def finish_axes(ax: Axes3D, points: np.ndarray, unit: str) -> None:
     """Set equal scales around points (n, 3), labels with units, plain panes and the first view."""
     lower, upper, _ = bounds(points)
+    # a flat body, too, gets a box with a volume
     extent = np.maximum(upper - lower, 1e-3 * np.max(upper - lower))
     for axis, low, wide, name in zip(
         (ax.xaxis, ax.yaxis, ax.zaxis), lower, extent, "xyz", strict=True

@@ -219,6 +219,7 @@ class ContactProblem(checks.Checked):
                         + ("'y' in axisymmetry" if self.axisymmetric else "'x' or 'y' in the plane")
                         + f", got {load.axis!r}"
                     )
+            # in the plane initial strains may have a third component, zz or hoop
             elif (
                 not isinstance(load, Pressure)
                 and len(load.components) != self.dim

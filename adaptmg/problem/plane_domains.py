@@ -371,7 +371,7 @@ class Outline(Domain):
             # points of the arc farthest along the axes, at multiples of a quarter turn; the directions of
             # an arc lie between -4 and 4 of these
             arc = self._arc(i)
-            fractions = (0.5 * math.pi * np.arange(-6, 7) - arc.start) / arc.angle
+            fractions = (0.5 * math.pi * np.arange(-4, 5) - arc.start) / arc.angle
             points.append(arc.at(fractions[(fractions > 0) & (fractions < 1)]))
         return np.concatenate(points)
 

@@ -221,6 +221,7 @@ class Moving(_MovingPart):
         if np.ndim(turn) == 0:
             # in space an angle does not give a vector: (turn,) makes the check below say so; 0 means no rotation
             turn = (turn,) if dim == 2 or turn != 0 else np.zeros(3)
+        # one component in the plane, three in space
         object.__setattr__(self, "rotation", checks.vector("rotation", turn, 2 * dim - 3))
 
     @property

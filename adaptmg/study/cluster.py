@@ -52,7 +52,7 @@ from adaptmg.study.store import Record
 
 _log = logging.getLogger(__name__)
 
-#: seconds that a cluster may take to have a worker, and for a scheduler to answer
+#: seconds that a cluster may take to have a worker, or this machine for each of its own, and for a scheduler to answer
 PATIENCE_S, CONNECT_S = 60.0, 10.0
 #: times that the processes of this machine are started: where one is killed while they start, as by
 #: a system that is short of memory, dask ends the others, too
@@ -127,11 +127,15 @@ def local_cluster(workers: int, *, memory_limit: float | None = None) -> Iterato
     ):
         # distributed infers coroutines and None for what a client that is connected returns
         address = cast("str", cluster.scheduler_address)  # pyright: ignore[reportAttributeAccessIssue]
+        # workers that hold more memory than their limit from the beginning are killed and started again for ever
+        last = time.monotonic() + PATIENCE_S * count
         for _ in range(_STARTS):
             with _processes(address, count, limit, folder, security) as process:
-                while process.poll() is None and len(client.nthreads()) < count:  # pyright: ignore[reportArgumentType]
+                while (n := len(client.nthreads())) < count and time.monotonic() < last:  # pyright: ignore[reportArgumentType]
+                    if process.poll() is not None:
+                        break
                     time.sleep(0.05)
-                if process.poll() is None:
+                if n >= count and process.poll() is None:
                     yield client
                     return
             while client.nthreads():  # the scheduler has not seen yet that they ended
@@ -505,6 +509,7 @@ class _Runs:
         self._stop_late()
         results = []
         with contextlib.suppress(queue.Empty):
+            # a run is stopped at most a tenth of its limit late
             results.append(self._back.get(timeout=min(execute.LOOK_S, self._limit_s / 10)))
             while True:
                 results.append(self._back.get_nowait())

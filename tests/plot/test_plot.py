@@ -459,6 +459,19 @@ def test_load_history_draws_quantities_and_pressures():
     for factors, title in ((range(4), "load factor 1"), ((0, 4, 2, 3), "load factor 4")):
         assert title in words(plot.load_history(steps[::-1], factors, {}, steps=3)).split("\n")
     assert len(plot.load_history(steps, FACTORS, QUANTITIES, steps=0).axes) == 2
+    # peaks next to each other do not take each other's place; of three steps that of the factor is drawn
+    rising = [
+        dataclasses.replace(
+            PLANE, contact=dataclasses.replace(PLANE.contact, force_n=k * PLANE.contact.force_n)
+        )
+        for k in (1, 2, 3, 9, 4, 3, 2, 1, 1, 1)
+    ]
+    factors = (0, 1, 2, 3, 6, 5, 4, 3, 2, 1)
+    for most, numbers in ((4, (0, 3, 4, 9)), (3, (0, 4, 9)), (2, (0, 9)), (1, (0,))):
+        figure = plot.load_history(rising, factors, {}, steps=most)
+        assert [ax.get_title() for ax in figure.axes] == [
+            f"load factor {factors[k]}" for k in numbers
+        ]
     assert "contact pressure [MPa]" in words(
         plot.load_history(steps_of(SOLID), FACTORS, QUANTITIES, against="step")
     )

@@ -421,9 +421,14 @@ def _children() -> set[int]:
     return {child.pid for child in psutil.Process().children(recursive=True)}
 
 
-def test_failed_starts_leave_no_process(monkeypatch):
+@pytest.mark.parametrize(
+    "owner, name, value",
+    [(sys, "executable", shutil.which("false")), (executor, "PATIENCE_S", 0.0)],
+    ids=["ended", "too slow"],
+)
+def test_failed_starts_leave_no_process(monkeypatch, owner, name, value):
     before = _children()
-    monkeypatch.setattr(sys, "executable", shutil.which("false"))
+    monkeypatch.setattr(owner, name, value)
     with (
         pytest.raises(OSError, match=r"2 processes could not be started .*fewer workers"),
         am.study.local_cluster(2),
