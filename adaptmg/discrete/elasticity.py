@@ -224,8 +224,8 @@ class Patches:
 
     start: np.ndarray  # (n_patches + 1,): patch p has the nodes start[p] to start[p + 1]
     nodes: np.ndarray  # (n,) int32
-    slopes: np.ndarray  # (n, dim)
-    hoops: np.ndarray  # (n,), or (0,)
+    slopes: np.ndarray  # (n, dim), 1/m
+    hoops: np.ndarray  # (n,), 1/m; without axisymmetry (0,)
     measures: np.ndarray  # (n_patches,): volumes
     # (n_patches,): an element there; of linear elements slice(None), all
     element: np.ndarray | slice

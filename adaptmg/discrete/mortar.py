@@ -202,11 +202,12 @@ def pair_interface(
         surfaces = Surfaces(slave, master, normals, excluded, axisymmetric)
         couple = node_to_node if pair.coupling == "nodes" else partial(mortar, reach=pair.reach)
         interface = couple(surfaces)
-        # slave nodes of which the master covers too little. If all hang over they stay: there would be no contact
+        # slave nodes of which the master covers too little, none with the coupling "nodes", which has the
+        # weights of whole facets. If all hang over they stay: there would be no contact
         hanging = interface.nodes[
             interface.weights < _LEAST_COVERED * slave.lumped(axisymmetric)[interface.nodes]
         ]
-        if 0 < len(hanging) < len(interface) and pair.coupling == "mortar":
+        if 0 < len(hanging) < len(interface):
             interface = couple(replace(surfaces, excluded=np.union1d(excluded, hanging)))
     except ValueError as error:
         raise ValueError(f"{named_pair}: {error}") from error

@@ -217,7 +217,8 @@ def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
 def _pieces(
     surfaces: Surfaces, backward: float, forward: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return slave edge, master edge and ends (n, 2) in s of the covered parts of slave edges."""
+    """Return slave edge, master edge and ends (n, 2) in s of the covered parts of slave edges: each has
+    the nearest of the masters that lie at most ``backward`` behind and ``forward`` in front of it, m."""
     edge, facet = _edges_near(surfaces, backward, forward)
     ends = _in_front(surfaces, edge, facet)
     # parts longer than rounding, in the order of edges, and along each edge

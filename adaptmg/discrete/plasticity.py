@@ -54,7 +54,7 @@ class Response:
 
     displacement: np.ndarray  # (n_dofs,): unknowns, m
     stress: np.ndarray  # (m, k): on smoothed patches without the part on groups of nodes, Pa
-    tangent: np.ndarray  # (m, k, k), Pa
+    tangent: np.ndarray  # (m, k, k): derivatives of these stresses by the strains, Pa
     #: (m, n), n being the largest ``state_size`` of all materials, at least 1; 0 behind a shorter state
     state: np.ndarray
     missed: np.ndarray  # (n_dofs,): f - f_int, N
@@ -74,7 +74,7 @@ class InelasticBodies:
     measures: np.ndarray  # (m,): volumes
     elastic: np.ndarray  # (m, k, k): C, Pa
     bulk: np.ndarray  # (m,): part of the bulk modulus that acts on groups of nodes, Pa
-    groups: Volumes
+    groups: Volumes  # groups of nodes that this part acts on; none of linear elements
 
     @classmethod
     def of(cls, posed: Posed) -> InelasticBodies:

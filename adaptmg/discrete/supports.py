@@ -143,7 +143,7 @@ class Held(NamedTuple):
     """A direction along which a support holds its nodes."""
 
     support: AnySupport
-    direction: np.ndarray  # (dim,)
+    direction: np.ndarray  # (dim,): unit vector
     axis: int | None  # None: it is not an axis
     nodes: np.ndarray  # (n,) int
     values: np.ndarray  # (n,): prescribed along it, m
@@ -159,6 +159,7 @@ def held_by(
     for support in supports:
         directions: list[tuple[np.ndarray, int | None, FieldLike]] = []
         components = list(support.components(mesh.dim))
+        # what is prescribed along the normal; of a spring, which prescribes nothing, ``normal`` is a stiffness
         normal = 0.0 if isinstance(support, Symmetry) else getattr(support, "normal", None)
         if isinstance(support, Support | Symmetry) and normal is not None:
             direction = _plane_normal(support.boundary, surfaces[support.boundary])

@@ -173,7 +173,8 @@ class CorrectionLevel:
     # Any: those of the coarsest level are None, and nothing reads them
     prolongation: sparse.bsr_array | Any = None  # from the next coarser level, in local components
     restriction: sparse.bsr_array | Any = None
-    contact_prolongation: sparse.csr_array | Any = None  # (n_contact, n_contact coarse)
+    # (n_contact, n_contact coarse): its nodal weights between contact nodes
+    contact_prolongation: sparse.csr_array | Any = None
 
     @cached_property
     def supports(self) -> Supports:

@@ -67,8 +67,9 @@ class SplitMatrix:
     upper_indptr: np.ndarray  # as those of L; empty: U is the transpose of L
     upper_indices: np.ndarray
     upper: np.ndarray
-    diagonal: np.ndarray  # (n_blocks * dim * dim,)
-    inverse: np.ndarray  # (n_blocks * dim * dim,)
+    # (n_blocks * dim * dim,): diagonal blocks; (0,) after :meth:`drop_diagonal`
+    diagonal: np.ndarray
+    inverse: np.ndarray  # (n_blocks * dim * dim,): their inverses, see :func:`invert_block`
     fixed: np.ndarray  # (n_fixed,) int64: fixed dofs
     nonzeros: int  # stored entries of the whole matrix, the unit of work on this level
     strips: Strips  # the order of the sweeps
@@ -272,7 +273,7 @@ def split(
     in_parts(
         distribute,
         len(nodes),
-        len(nodes) * size // n,
+        len(nodes) * size // n,  # numbers in these rows, about
         nodes,
         ZERO[dim],
         *rows.arrays,
@@ -565,8 +566,9 @@ def add_prolonged(first, last, zero, indptr, indices, weights, coarse, begin, u)
 
 @kernel
 def count(first, last, order, kinds, indptr, indices, rank, lower_counts, upper_counts):
-    """Count the blocks of the rows in both halves, those of place k at k + 1: the row pointers are
-    their sums."""
+    """Count the blocks of the rows (``kinds, indptr, indices`` of BlockRows) in both halves, those of place k
+    at k + 1: the row pointers are their sums. ``order`` has the node at each place, ``rank`` the place of
+    each node."""
     for place in range(first, last):
         row, origin = table_row(kinds, np.uint64(order[place]))
         below = 0
@@ -625,7 +627,9 @@ def distribute(
     inverse,
 ):
     """Distribute blocks in the rows of ``nodes`` into L, U (unless it is empty), D and its inverse (see
-    :func:`invert_block`); blocks of a duplicate or missing diagonal are summed or zero. The couplings
+    :func:`invert_block`); blocks of a duplicate or missing diagonal are summed or zero. The rows are those
+    of BlockRows, ``kinds`` to ``data``; ``rank`` (n_nodes,) is the place of a node in the order of the
+    sweeps, which decides between L and U; ``free`` (n_dofs,) is the mask of free dofs. The couplings
     of fixed dofs are zeroed in a second pass over the rows that have any, which are few. ``held``
     (n_nodes,) tells which nodes have fixed dofs. Of ``shared`` rows columns count from the node, and
     diagonal blocks are numbered as rows, else as nodes. Integers are int64 where :func:`_mask` and

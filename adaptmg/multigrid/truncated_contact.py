@@ -72,14 +72,15 @@ class TruncatedContact:
     dim: int
     nodes: np.ndarray  # (n_contact,) int32
     contact_of: np.ndarray  # (n_nodes,) int32: index of a node among the contact nodes, or -1
-    frames: np.ndarray  # (n_contact * dim * dim,)
+    frames: np.ndarray  # (n_contact * dim * dim,): by row normal, tangents
     diagonal: np.ndarray  # (n_contact * dim * dim,): Cartesian diagonal blocks
     blocks: np.ndarray  # (n_contact * dim * (dim + 1) / 2,): upper triangles of the local ones
-    gap: np.ndarray  # (n_contact,), m
-    reference: np.ndarray  # (n_contact * (dim - 1),); of scalar problems the lowest values
-    limit: np.ndarray  # (n_contact,), N
-    friction: np.ndarray  # (n_contact,)
-    values: np.ndarray  # (n_contact * dim,): local unknowns
+    gap: np.ndarray  # (n_contact,): largest normal displacement, m
+    # (n_contact * (dim - 1),): tangential displacements of zero slip, m; of scalar problems lowest values (n_contact,)
+    reference: np.ndarray
+    limit: np.ndarray  # (n_contact,): nodal Tresca limit s, N
+    friction: np.ndarray  # (n_contact,): coefficient mu
+    values: np.ndarray  # (n_contact * dim,): local unknowns, m
     codes: np.ndarray  # (n_contact,) int8; -1 before the first update
     pressure: np.ndarray  # (n_contact,): p >= 0, N
     direction: np.ndarray  # (n_contact * (dim - 1),): of the slip
@@ -89,7 +90,8 @@ class TruncatedContact:
     hardening: np.ndarray  # (n_contact,): derivative of s + mu p by the slip where it rises, N/m
     compliance: np.ndarray  # (n_contact,): of the surfaces, m/N
     spring: np.ndarray  # (n_contact,): stiffness of surfaces in linear problems, N/m; 0: rigid
-    driven: np.ndarray  # (k,) int: nodes whose first tangent a support holds and moves
+    # (k,) int: numbers of contact nodes whose first tangent a support holds and moves
+    driven: np.ndarray
     layer: Layer | None  # of surfaces that yield by a power of the force
 
     @classmethod

@@ -199,7 +199,7 @@ class FrameSmoother:
         # rotated twice, a closed gap would no longer be closed to the last digit
         local_by_node[nodes] = values
         conditions = contact.conditions
-        passes = self.smoother.smooth(system, conditions, forces, local, 1)
+        passes = self.smoother.smooth(system, conditions, forces, local, 1)  # one sweep
         # a user-defined smoother may leave numbers that are not finite
         checks.array("smooth: the unknowns that smooth leaves", local, local.shape)
         local[system.fixed] = 0.0

@@ -283,7 +283,7 @@ class _Method:
             forces=forces,
             unknowns=self.unknowns,
             slack=slack,
-            steps=0,
+            steps=0,  # :func:`interior_point` counts them
         )
 
     def advance(self) -> bool:
@@ -452,7 +452,7 @@ def _solve_cone(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2):
 def _longest_step(b, q_1, q_2, db, dq_1, dq_2):
     """Return the longest step t with B + t dB >= |q + t dq|: at most where B + t dB = 0, and the
     least positive root of (B + t dB)^2 - |q + t dq|^2 = a t^2 + 2 h t + c. For h < 0 the root is written
-    as c over the other one times a, which does not cancel."""
+    as c over the other one times a, which does not cancel; for a < 0 there is a root, as c >= 0."""
     a = db * db - dq_1 * dq_1 - dq_2 * dq_2
     h = b * db - q_1 * dq_1 - q_2 * dq_2
     c = max(b * b - q_1 * q_1 - q_2 * q_2, 0.0)
