@@ -3,6 +3,13 @@
 import pytest
 
 
+def check_refused(*rows):
+    """Call what each ``(call, message)`` calls: a ValueError must say the message."""
+    for call, message in rows:
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
 def refused(*rows):
     """Return a test that each ``(call, message)`` raises a ValueError; another error stands between
     the two."""
