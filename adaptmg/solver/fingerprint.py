@@ -423,7 +423,11 @@ class _Pickler(pickle.Pickler):
         leaves_out = bool(_measured(kind)) or any(
             type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values()
         )
-        pickles_all = leaves_out and kind.__reduce__ is object.__reduce__
+        by_default = (kind.__reduce__, kind.__getstate__) == (
+            object.__reduce__,
+            object.__getstate__,
+        )
+        pickles_all = leaves_out and by_default
         if not self.found.is_own(_module_of(kind), kind) and not pickles_all:
             return None
         if id(value) in self.instances:
