@@ -41,8 +41,9 @@ def two_block_patch(
     contact.
 
     Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping
-    ones polygons, or their extrusions along z (up is y). ``reference`` holds ``pressure`` and
-    ``traction`` (size of the tangential one) on the interface, Pa, which the law must bear.
+    ones polygons, or their extrusions along z (up is y). ``reference`` holds ``quantity`` (as text),
+    ``pressure`` and ``traction`` (size of the tangential one) on the interface, Pa, which the law must
+    bear, and ``sources``.
 
     Parameters
     ----------
@@ -201,10 +202,10 @@ def incline(
     it rests if and only if tan(angle) <= mu. The gravity points down; the slab is held at its
     underside.
 
-    Bodies "block" (slave) and "slab". ``reference`` holds ``weight``, ``force_n`` and ``force_t``
-    (resultants normal to the slab and along it, N/m) and, with a constant coefficient of friction,
-    ``holds``: where it is False,
-    :func:`adaptmg.solve` refuses the problem.
+    Bodies "block" (slave) and "slab". ``reference`` holds ``quantity`` (as text), ``weight``,
+    ``force_n`` and ``force_t`` (resultants normal to the slab and along it, N/m), ``sources`` and, with
+    a constant coefficient of friction, ``holds``: where it is False, :func:`adaptmg.solve` refuses the
+    problem.
 
     Parameters
     ----------

@@ -160,7 +160,7 @@ def _law(friction: float, flanges: Flanges, dim: int) -> Law:
     """Return the law of the joint and of the heads, whose friction is another one: they lie farther
     from z = 0 than half of the thinner flange."""
     friction = checks.nonnegative("friction", friction)
-    heads = 0.0 if dim == 2 else 0.2
+    heads = 0.0 if dim == 2 else 0.2  # in space nothing else holds the bolts
     if heads == friction:
         return am.Coulomb(friction) if friction else am.Frictionless()
     return am.Coulomb(partial(_friction, friction, heads, 0.5 * min(flanges.upper, flanges.lower)))
@@ -215,6 +215,7 @@ class Flanges(checks.Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # half of the seat of the ring, as _flange_section draws it, or of a head
         half = 0.5 * max(1.2 * self.seat, self.head_diameter)
         inner = self.bolt_circle - half
         outer = self.bolt_circle + half

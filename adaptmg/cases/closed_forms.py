@@ -139,8 +139,8 @@ def hertz_cylinder(
 ) -> am.ContactProblem:
     """Pose a cylinder on a block, or on another cylinder; plane strain, one half by symmetry.
 
-    Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds
-    ``half_width`` (m), ``peak`` (Pa), ``closed_form`` (:class:`HertzContact`), ``sources`` and
+    Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds ``quantity``
+    (as text), ``half_width`` (m), ``peak`` (Pa), ``closed_form`` (:class:`HertzContact`), ``sources`` and
     ``remark``. Meshes should be fine at the origin (:class:`adaptmg.SizeNear`).
 
     Parameters
@@ -451,8 +451,9 @@ def flat_punch(
     """Pose a flat rigid punch on a block 40 half-widths deep and 80 wide; plane strain, one half by
     symmetry.
 
-    ``reference`` holds, without friction, ``pressure`` (a function of x, m, between -a and a),
-    ``exponent`` (of the singularity at the edge) and ``sources``.
+    ``reference`` holds, without friction, ``quantity`` (as text), ``pressure`` (a function of x, m,
+    between -a and a, that returns Pa), ``exponent`` (of the singularity at the edge), ``half_width``
+    (m), ``sources`` and ``remark``.
 
     Parameters
     ----------

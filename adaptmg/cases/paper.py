@@ -309,8 +309,8 @@ def upset_block(
     there u ~ r^lambda with lambda < 1.
 
     ``reference`` holds, for constant friction that suffices for that and a Poisson's ratio > 0 (at 0
-    nothing spreads, and lambda is 1), ``exponent`` (lambda) and ``uniform_rate``: the energy error
-    falls like N^-uniform_rate on uniform meshes of N nodes. Friction 0.5 suffices for Poisson's ratios
+    nothing spreads, and lambda is 1), ``exponent`` (lambda), ``sources`` and ``uniform_rate``: the energy
+    error falls like N^-uniform_rate on uniform meshes of N nodes. Friction 0.5 suffices for Poisson's ratios
     up to 0.496, friction 0.3 for those up to 0.297.
 
     Parameters
@@ -393,8 +393,8 @@ def dovetail(
 ) -> am.ContactProblem:
     """Pose the dovetail joint; a reconstruction with our own geometry and loads.
 
-    Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points``
-    (name -> position, m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank
+    Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``quantity``
+    (as text), ``points`` (name -> position, m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank
     (state -> ranges of depth below the mouth, m), ``tolerances`` of both (m), ``sources`` and
     ``remark``; otherwise only ``remark``.
 

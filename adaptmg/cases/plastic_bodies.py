@@ -266,6 +266,7 @@ def hill_cylinder(
     return am.ContactProblem(
         name="Hill's cylinder",
         material=steel,
+        # in plane strain any height will do
         domain=am.Rectangle(width=b - a, height=0.25 * (b - a), origin=(a, 0.0)),
         loads=(am.Pressure("left", pressure),),
         supports=(am.Support("bottom", y=0.0), am.Support("top", y=0.0)),

@@ -51,8 +51,9 @@ def coulomb_transition(
 ) -> am.ContactProblem:
     """Pose a transition of contact states with its exact solution; plane strain.
 
-    ``reference`` holds ``field`` (:class:`TransitionField`), ``exponent``, ``transition`` (0.0, m)
-    and ``uniform_rate`` (0.5: the energy error falls like N^-1/2 on uniform meshes of N nodes).
+    ``reference`` holds ``quantity`` (as text), ``field`` (:class:`TransitionField`), ``exponent``
+    (lambda), ``transition`` (0.0, m), ``uniform_rate`` (0.5: the energy error falls like N^-1/2 on
+    uniform meshes of N nodes) and ``sources``.
 
     Parameters
     ----------

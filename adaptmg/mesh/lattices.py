@@ -110,7 +110,7 @@ def warn_of_stretched(domain: Domain, divisions: Divisions | Mapping[str, Divisi
         sides = np.subtract(part.upper, part.lower)
         cells = sides / counts
         ratio = cells.max() / cells.min()
-        if ratio > _STRETCHED * (1 + 1e-9):
+        if ratio > _STRETCHED * (1 + 1e-9):  # by more than rounding
             # square cells of the same measure, but at least one across the shortest side
             size = min(float(np.prod(cells)) ** (1 / len(cells)), sides.min())
             square = tuple(int(n) for n in np.maximum(np.rint(sides / size), 1))

@@ -776,6 +776,7 @@ def _serve() -> None:
             os._exit(0)
 
     threading.Thread(target=listen, daemon=True).start()
+    # as much as the machine has, but 4 GB on a small one: what libraries map without using it counts, too
     limit_memory(max(4e9, memory()))
     while True:
         name, arguments = requests.get()

@@ -243,8 +243,8 @@ def _angles(points: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def least_angle(points: np.ndarray, elements: np.ndarray) -> float:
-    """Return the smallest angle between facets of ``elements`` (n, dim + 1), degrees; 0 where one is turned
-    over."""
+    """Return the smallest angle between facets of ``elements`` (n, dim + 1) between ``points`` (n_nodes,
+    dim), degrees; 0 where one is flat or turned over, 180 without elements."""
     if not (
         signed_measures(points, elements)
         > checks.ALIKE * edge_lengths(points[elements]).max(axis=0) ** points.shape[1]

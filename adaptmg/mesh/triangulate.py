@@ -415,6 +415,7 @@ def _limit(points, elements, sizes, growth):
             length = np.sqrt(
                 (points[a, 0] - points[b, 0]) ** 2 + (points[a, 1] - points[b, 1]) ** 2
             )
+            # rises by rounding do not count
             if sizes[b] > (1.0 + 1e-9) * (sizes[a] + growth * length):
                 sizes[b] = sizes[a] + growth * length
                 falls = True

@@ -282,6 +282,7 @@ def _automatic_factor(result: Result) -> float:
         if len(nodes) > 1:
             _, _, extent = style.bounds(mesh.points[nodes])
             _, _, spread = style.bounds(result.displacement[nodes])
+            # the spread is 0 where all of them move alike
             factor = min(factor, _PATCH_SHARE * extent / max(spread, 1e-12 * size))
     power = 10.0 ** np.floor(np.log10(factor))
     return float(power * min((1, 2, 5, 10), key=lambda m: abs(np.log(m * power / factor))))

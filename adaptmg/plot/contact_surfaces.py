@@ -287,6 +287,7 @@ def _frame(normal: np.ndarray) -> tuple[np.ndarray, list[str]]:
     frame = np.stack([first, second * np.sign(second[j]), normal], axis=1)
     names = ["t1", "t2", "the axis"]
     for column, axis in enumerate((i, j, along)):
+        # a direction that an axis has up to .1 degrees is called like this axis
         if abs(frame[axis, column]) > 1 - 1e-6:
             names[column] = "xyz"[axis]
     return frame, names

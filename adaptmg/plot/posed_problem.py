@@ -301,8 +301,8 @@ def _draw_obstacle(ax: Axes, contact: Contact, mesh: MeshArrays, extent: float) 
     normals = np.repeat(surface.normals, 2, axis=0)
     inward, gaps = contact.obstacle.contact(points, normals)
     largest = float(np.abs(gaps).max())
-    # a gap of less than a quarter of the hatched strip is drawn about as wide as the strip, enlarged by
-    # a number of one digit and zeros, which the legend names
+    # a gap of less than a quarter of the hatched strip, but more than rounding, is drawn about as wide as the
+    # strip, enlarged by a number of one digit and zeros, which the legend names
     visible = 0.06 * extent
     times = (
         1
