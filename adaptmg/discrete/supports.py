@@ -61,9 +61,9 @@ class Inclined:
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Return the projections (n, dim, dim) at some nodes, zero where no direction is held."""
         result = np.zeros((len(nodes), *self.spans.shape[1:]))
-        place = np.searchsorted(self.nodes, nodes)  # with no nodes 25 us, by isin 34
-        inclined = np.append(self.nodes, -1)[place] == nodes
-        result[inclined] = self.spans[place[inclined]]
+        if len(self):  # 25 us with no nodes, 16 times in a solve with four levels
+            inclined = np.flatnonzero(np.isin(nodes, self.nodes))
+            result[inclined] = self.spans[np.searchsorted(self.nodes, nodes[inclined])]
         return result
 
     def remove_held(self, vector: np.ndarray) -> None:
