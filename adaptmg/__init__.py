@@ -71,6 +71,7 @@ def _naming_arguments(kind: Any) -> None:
         try:
             constructor(self, *arguments, **named)
         except TypeError as error:
+            # no further frame: the arguments do not fit, and the constructor has not begun
             in_call_itself = error.__traceback__ is not None and error.__traceback__.tb_next is None
             if in_call_itself:
                 import inspect

@@ -320,6 +320,7 @@ class Hierarchy(Grids):
         and the seconds of compiling until then."""
         started, compiled = begin
         if isinstance(problem, ContactProblem):
+            # with the slaves of pairs with sides="auto", which the finest mesh decides
             problem = Posed.of(problem, meshes[-1]).problem
             for message in (
                 *_notes_on_extent(problem, meshes[-1]),

@@ -435,6 +435,7 @@ def _on_surface(
     nodes = surface.nodes
     force, mass, has_force = _contact_forces(mesh, contact, surface, name, axisymmetric)
     values = np.divide(force, mass[:, None], out=np.zeros_like(force), where=mass[:, None] > 0)
+    # nodes of a master without a force face nothing: they have no traction
     if name in contact.names and not has_force.all():
         normals = np.zeros(mesh.points.shape)
         normals[contact.node] = contact.normal

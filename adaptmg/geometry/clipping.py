@@ -221,9 +221,9 @@ def _separated_by_edge(polygon, n, window, m, tolerance):
 
 @inner_kernel
 def separated(polygon, n, window, m, tolerance):
-    """Return whether an edge of one of two polygons separates them, but for a strip as wide as
-    ``tolerance``."""
-    for c in range(2):
+    """Return whether an axis, or an edge of one of two polygons, separates them, but for a strip as wide
+    as ``tolerance``."""
+    for c in range(2):  # axes first: they part most polygons
         low = np.inf
         high = -np.inf
         window_low = np.inf

@@ -221,7 +221,7 @@ class Aggregates:
         n, dim, _ = projections.shape
         motions = np.zeros((n, dim, dim * (dim + 1) // 2))
         motions[:, :, :dim] = np.eye(dim)
-        if dim > 1:
+        if dim > 1:  # scalar problems have no turns
             motions[:, :, dim:] = np.stack(rotations(self.offsets, np.eye(dim)), axis=2)
         inside = self.label >= 0
         return sparse.bsr_array(
@@ -463,7 +463,7 @@ class CoarseCorrection:
 def raised(diagonal: np.ndarray) -> np.ndarray:
     """Return the terms (n_coarse,) that make the coarse matrix regular, to be added to its
     diagonal."""
-    # motions whose nodes are all held have no stiffness
+    # motions whose nodes are all held have no stiffness but rounding: they are kept at rest
     largest = diagonal.max(initial=0.0)
     return np.where(diagonal > 1e-14 * largest, checks.ALIKE * diagonal, largest)
 

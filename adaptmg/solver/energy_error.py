@@ -234,7 +234,7 @@ class _Preconditioner:
         )
         blocks = rows.diagonal_blocks(status.held)
         blocks[: len(status.nodes)] += status.stiffening
-        # directions that are projected away have no stiffness: their inverse is 0
+        # directions that are projected away have no stiffness but rounding: their inverse is 0
         stiffness, axes = np.linalg.eigh(status.projections @ blocks @ status.projections)
         rounding = 1e-12 * np.abs(blocks).max(axis=(1, 2), initial=0.0)[:, None]
         stiffness[np.abs(stiffness) <= rounding] = np.inf

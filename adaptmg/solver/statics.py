@@ -306,15 +306,16 @@ def _required_friction(body: _Body, work: np.ndarray) -> str:
     text; "" if none up to ``_STEEPEST`` does."""
     n = len(body.problem.contact)
 
-    def unbalanced(coefficient: float) -> float:
+    def excess(coefficient: float) -> float:
+        """Return by how much the unbalanced work exceeds what counts as balanced, SIX_DIGITS."""
         forces = _contact_forces(body, limit=np.zeros(n), friction=np.full(n, coefficient))
         return forces.least_unbalanced(work)[0] - checks.SIX_DIGITS
 
-    if body.problem.dim == 1 or unbalanced(_STEEPEST) > 0:
+    if body.problem.dim == 1 or excess(_STEEPEST) > 0:
         return ""
     from scipy.optimize import bisect
 
-    least = bisect(unbalanced, 0.0, _STEEPEST, rtol=1e-4)
+    least = bisect(excess, 0.0, _STEEPEST, rtol=1e-4)
     # rounded, and in 3D up to 1.9 % too small: a polygon of 16 sides around the circle limits friction
     return (
         f" without friction of about {least:.3g} or more, the tangent of "

@@ -473,7 +473,7 @@ def _separates(points, corners, maps, e, mu):
     (dim + 1,) among ``points``. The rows of ``maps`` are those of
     :func:`~adaptmg.geometry.location.affine_maps`: origin, then gradients. Writes the barycentric
     coordinate m of corner v at ``mu[v, m]``, snapped to zero: all of them only if no face does."""
-    # the same as ``barycentric``, but face by face: most pairs are parted by one of the first
+    # coordinate by coordinate, not corner by corner: most pairs are parted by one of the first faces
     k = len(corners)
     dim = k - 1
     for v in range(k):
