@@ -625,7 +625,7 @@ def sweep_order(
 
 def occurrences(numbers: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Return ``start`` (n + 1,) and ``places`` (size,): the number i below ``n`` stands in the flattened
-    array at the ascending places ``places[start[i]:start[i + 1]]``. They are sorted by counting:
+    array ``numbers`` at the ascending places ``places[start[i]:start[i + 1]]``. They are sorted by counting:
     160 000 take .7 ms, a stable sort 10.9."""
     size = numbers.size
     # a matrix whose column k, the place, has its only entry in the row of the number there

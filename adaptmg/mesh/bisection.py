@@ -323,7 +323,7 @@ def _sides(mesh: MeshArrays) -> np.ndarray:
 
 def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """Return which pair of corners (n,), a row of ``_PAIRS``, is the longest edge of each of ``cells``
-    (n, 3 or 4); of edges of one length that with the higher node numbers."""
+    (n, 3 or 4) between ``points`` (n_nodes, dim); of edges of one length that with the higher node numbers."""
     ends = cells[:, _PAIRS[cells.shape[1]]]
     low = ends.min(axis=2)
     high = ends.max(axis=2)

@@ -86,9 +86,10 @@ def _missing_after_swaps(
     tails: np.ndarray,
     heads: np.ndarray,
 ) -> np.ndarray:
-    """Swap edges of triangles ``elements`` (m, 3) with the neighbours ``across`` (m, 3) in place until they
-    have the edges of the boundary from ``tails`` (n_edges,), ascending, to ``heads`` (n_edges,), and
-    return the mask (n_edges,) of those that they do not have then."""
+    """Swap edges of triangles ``elements`` (m, 3) between ``points`` (n + 4, 2), the last four of which are the
+    corners of the box, with the neighbours ``across`` (m, 3) in place until they have the edges of the
+    boundary from ``tails`` (n_edges,), ascending, to ``heads`` (n_edges,), and return the mask (n_edges,) of
+    those that they do not have then."""
     # edges from node i have the rows start[i] to start[i + 1]; triangle_of[i] is a triangle of node i,
     # the last four nodes are the corners of the square
     n = len(points) - 4

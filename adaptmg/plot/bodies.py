@@ -441,7 +441,7 @@ def draw_bodies(
 def _draw_edges(
     ax: Axes, edges: np.ndarray, colors: str | np.ndarray, width: float, over: bool = False
 ) -> None:
-    """Draw edges (n, 2, 2) of a plane mesh, marks ``over`` outlines."""
+    """Draw edges (n, 2, 2) of a plane mesh in one colour or in ``colors`` (n, 4), marks ``over`` outlines."""
     ax.add_collection(
         LineCollection(
             list(edges),
@@ -461,7 +461,8 @@ def _fill(
     colors: Coloring | Sequence[str],
     lines: bool,
 ) -> None:
-    """Fill the elements ``shown`` (numbers) of a plane mesh, and draw their edges if ``lines``."""
+    """Fill the elements ``shown`` (numbers) of a plane mesh with its nodes at ``points`` (n_nodes, 2), in the
+    unit of the axes, and draw their edges if ``lines``."""
     valued = isinstance(colors, Coloring)
     elements = mesh.elements[shown]
     # lines are thinner the more elements there are; without lines edges as wide as a pixel in the

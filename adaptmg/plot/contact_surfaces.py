@@ -302,7 +302,8 @@ class Line:
     label: str  # for the axis
 
     def around(self, touching: np.ndarray) -> Line:
-        """Return the part around nodes that touch (n,), where they are on a small part of it."""
+        """Return the part around the nodes of the mask ``touching`` (n,), where they are on a small part of
+        the line; else the whole line."""
         places = self.position[touching]
         reach = _AROUND_PATCH * float(np.ptp(places)) if len(places) else 0.0
         if not 0 < 2 * reach < _SMALL_PART * np.ptp(self.position):
@@ -388,7 +389,7 @@ def polylines(edges: np.ndarray) -> list[np.ndarray]:
 
 
 def draw_map(ax: Axes, flat: Flat, values: np.ndarray, norm: Normalize) -> ScalarMappable:
-    """Draw nodal values in colours."""
+    """Draw ``values`` (n,) at the nodes of a flat surface in colours."""
     _finish(ax, flat)
     if not len(flat.triangles):
         return ax.scatter(flat.points[:, 0], flat.points[:, 1], c=values, s=18, norm=norm)
@@ -598,7 +599,8 @@ def _evaluate(
 def _draw_curve(
     ax: Axes, factors: np.ndarray, values: np.ndarray, label: str, against: str
 ) -> None:
-    """Draw a quantity against the load factors, with an arrow on each branch if these turn."""
+    """Draw ``values`` (n,) of a quantity against the load ``factors`` (n,), with an arrow on each branch if
+    these turn."""
     ax.plot(factors, values, marker="o" if len(factors) <= 60 else "", color=style.cycled(0))
     turns = np.flatnonzero(np.diff(np.sign(np.diff(factors))) != 0) + 1
     if len(turns):

@@ -353,7 +353,8 @@ def _name_faces(problem: ContactProblem, mesh: MeshArrays, ax: Axes3D, loaded: l
 
 
 def _strokes(tails: np.ndarray, arrows: np.ndarray) -> list[np.ndarray]:
-    """Return the shafts of arrows (n, 3) and the four strokes of each head as segments (n, 2, 3)."""
+    """Return the shafts of ``arrows`` (n, 3) from ``tails`` (n, 3), and the four strokes of each head, as
+    segments (n, 2, 3)."""
     tips = tails + arrows
     # two directions across each arrow, as long as it: from the axis that it has least of
     first = np.zeros_like(arrows)

@@ -392,7 +392,8 @@ STATE_NAMES: dict[int, str] = {OPEN: "open", SLIP: "slip", STICK: "stick"}
 
 
 def shade(ax: Axes, position: np.ndarray, state: np.ndarray) -> None:
-    """Shade the background in runs of equal state, which meet half way between nodes."""
+    """Shade the background in runs of equal state (n,), which meet half way between nodes at the ascending
+    positions (n,)."""
     # a run begins at each state that differs from the one before, that of the first node from state[0] - 1
     starts = np.flatnonzero(np.diff(state, prepend=state[0] - 1))
     ends = np.append(starts[1:], len(state)) - 1

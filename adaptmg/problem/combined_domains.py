@@ -284,8 +284,8 @@ def _pieces(
 
 
 def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outline:
-    """Join pieces to closed loops and return their outline, its outer loop first; ValueError unless
-    they bound one body."""
+    """Join pieces, which have ends by their numbers in ``points``, (2,) each, to closed loops and return
+    their outline, its outer loop first; ValueError unless they bound one body."""
     # by the number of the point at which a piece starts
     leaving: dict[int, _Piece] = {}
     for piece in pieces:

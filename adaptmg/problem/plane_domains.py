@@ -315,8 +315,8 @@ class Outline(Domain):
         )
 
     def winding(self, x: np.ndarray | tuple[float, float], edges: np.ndarray | None = None) -> int:
-        """Return how often the edges, or closed loops of them, run around a point that lies on
-        none: 1 inside."""
+        """Return how often all edges, or the closed loops of those with the numbers ``edges`` (n,), run
+        around a point ``x`` (2,) that lies on none: 1 inside."""
         edges = np.arange(len(self.vertices)) if edges is None else edges
         a, b = (np.array(self.vertices)[ends] - x for ends in (edges, self.following[edges]))
         # angles at which the straight edges are seen from the point

@@ -208,7 +208,8 @@ def check_simple(
 
 
 def _meet(e: Segment | Arc, f: Segment | Arc, shared: list[np.ndarray], tiny: float) -> bool:
-    """Return whether two edges meet elsewhere than at the vertices they share."""
+    """Return whether two edges meet elsewhere than at the vertices ``shared``, (2,) each, that both have;
+    ``tiny`` is the tolerance of :func:`meetings`, m."""
     if shared:
         candidates = [*e.ends, *f.ends, *(p for v in shared for p in _second_meeting(e, f, v))]
         points = on_both(e, f, candidates, tiny)

@@ -408,7 +408,7 @@ class Rigid(_MovingPart):
         return self.obstacle.contact(points, normals)
 
     def placed(self, motion: np.ndarray) -> Moving:
-        """Return the obstacle after displacement and rotation (n,), m and rad."""
+        """Return the obstacle after a ``motion`` (n,): the displacement (dim,), m, then the rotation, rad."""
         return Moving(
             self.obstacle,
             displacement=motion[: self.dim],
