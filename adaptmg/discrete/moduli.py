@@ -111,8 +111,9 @@ class Moduli:
         return result
 
     def work(self, stress: np.ndarray, other: np.ndarray, plane: bool) -> np.ndarray:
-        """Return the work (n_elements, ...) of one stress on the elastic strains of another, both
-        columns (n_elements, ..., k); in the plane the columns are xx, yy, xy."""
+        """Return the work (n_elements, ...), J/m^3, of one stress on the elastic strains of another, both
+        columns (n_elements, ..., k), Pa. With ``plane`` they have the columns xx, yy and xy alone, of
+        bodies whose strains are in the plane: these columns decide the strains."""
         components = [0, 1, 3] if plane else list(range(self.table.shape[1]))
         compliance = np.linalg.inv(self.table[:, components][:, :, components])[self.rows]
         strain = (other.reshape(len(other), -1, len(components)) @ compliance).reshape(other.shape)

@@ -373,6 +373,7 @@ def _with_partners(
     """Return which slave nodes (n,) face their partners (n,), whose ``offset`` (n,) from the normal
     is small, m; ValueError if one with a multiplier does not."""
     points = surfaces.points
+    # the shortest edge of the facets at each slave node
     shortest = np.full(len(surfaces.points), np.inf)
     np.minimum.at(shortest, surfaces.slave, _edge_lengths(surfaces.slave_side).min(axis=1)[:, None])
     allowed = _OFFSET * shortest[nodes]

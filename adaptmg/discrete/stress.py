@@ -427,6 +427,7 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     # outer nodes without an inner neighbour, as at corners: the elements of all their neighbours
     corner_nodes = outer[weights[outer] == 0]
     wider_patches = incidence[corner_nodes] @ transposed @ incidence
+    # a of each fit, or the mean
     nodal[corner_nodes] = _fits(wider_patches, points[corner_nodes], centroids, values)[0][:, 0]
     return cells, nodal
 

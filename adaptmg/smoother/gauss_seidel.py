@@ -171,7 +171,7 @@ def _check(system: LocalSystem, contact: NodalContact, **vectors: np.ndarray) ->
 @inner_kernel(forceinline=True)
 def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, compliance, w, omega, r):
     """Return the new unknowns of node i, number ``contact`` of the contact nodes, from its residual
-    ``r``."""
+    ``r``: the solution of the node problem with M = D / omega and c = r + M w."""
     dim = np.uint64(len(r))
     m = over(upper(diagonal, dim * dim * i, r), omega)
     return solve(
