@@ -39,10 +39,8 @@ from scipy import sparse
 from scipy.sparse.linalg import lsmr
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.elasticity import nodal_matrix
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, cut_force, cut_stiffness
-from adaptmg.discrete.supports import Inclined
 from adaptmg.grids import Grids
 from adaptmg.level import Level
 from adaptmg.mesh.arrays import MeshArrays, need_mesh
@@ -83,10 +81,6 @@ _RELINEARISED = 5  # times that the motions are linearised there
 # springs of an obstacle there, over the largest stiffness; half, twice and 1e-7: the same cycles and guides; 1e-12:
 # the same cycles, a guide more
 _SOFT = 1e-9
-# springs there of what supports hold of the nodes that an obstacle may touch, over the largest stiffness: 7 blocks on
-# rollers that a plate presses and drags, 28 load steps, take 277 cycles, with half 279, twice 236, 1e-2 of it 319; 1e8
-# takes 204, but its rounding exceeds the soft springs
-_STIFF = 1e6
 # share of the force of a bolt from which on it is resisted; half, twice, .1 and 1e-9: the same cycles
 _PULLS = 0.01
 _DOUBLINGS = 20  # times that the strain of a bolt is doubled until then
@@ -601,9 +595,7 @@ class Guide:
         The motions are unknowns of one contact problem in displacements relative to obstacles,
         :math:`u = v + M z` at the nodes that they may touch, with the matrix :math:`(I\; M)^T A\,
         (I\; M)` and the load :math:`(b, M^T b + F^*)`. All z are lengths, rotations times their arm, and
-        F* forces, moments over it: one spring, soft, holds each motion that nothing resists. A node
-        that a support holds slides on the obstacle by -M z, and its friction acts on that: here stiff
-        springs hold it, as v is not prescribed."""
+        F* forces, moments over it: one spring, soft, holds each motion that nothing resists."""
         motions = self.controls.motions_of(self.all_parts, values * self.sizes)
         posed = self.posed(motions)
         discrete = posed[self.level_number].discrete
@@ -617,31 +609,18 @@ class Guide:
         moves = np.pad(self._motions_at_contact(discrete, scales), ((0, 0), (0, -n % discrete.dim)))
         padded = moves.shape[1]
         basis = sparse.hstack([sparse.eye_array(discrete.n_dofs), sparse.csr_array(moves)], "csr")
-        largest = np.abs(discrete.matrix.diagonal()).max()
-        springs = sparse.diags_array(
-            np.append(np.zeros(discrete.n_dofs), np.full(padded, _SOFT * largest))
-        )
-        touching = discrete.contact.nodes[
-            np.isin(discrete.contact.boundary, [cast("int", part.number) for part in self.parts])
-        ]
-        held = discrete.held.reshape(-1, discrete.dim)
-        fixed = discrete.fixed.reshape(-1, discrete.dim).copy()
-        fixed[touching] &= ~held[touching]
-        inclined = discrete.inclined
-        elsewhere = ~np.isin(inclined.nodes, touching)
-        holding = nodal_matrix(
-            touching, _STIFF * largest * discrete.held_spans(touching), discrete.n_dofs
-        )
-        # (I M)'A (I M), and (b, M'b + F*), with the springs of held nodes in A and b
-        matrix = basis.T @ sparse.csr_array(discrete.matrix + holding) @ basis + springs
-        load = basis.T @ (discrete.load + holding @ discrete.fixed_values)
+        soft = _SOFT * np.abs(discrete.matrix.diagonal()).max()
+        springs = sparse.diags_array(np.append(np.zeros(discrete.n_dofs), np.full(padded, soft)))
+        # (I M)'A (I M), and (b, M'b + F*)
+        matrix = basis.T @ sparse.csr_array(discrete.matrix) @ basis + springs
+        load = basis.T @ discrete.load
         load[discrete.n_dofs :][:n] += forces * scales
         problem = DiscreteProblem(
             matrix=0.5 * (matrix + matrix.T),
             load=load,
-            fixed=np.append(fixed, np.arange(padded) >= n),
+            fixed=np.append(discrete.fixed, np.arange(padded) >= n),
             fixed_values=np.pad(discrete.fixed_values, (0, padded)),
-            inclined=Inclined(inclined.nodes[elsewhere], inclined.spans[elsewhere], {}),
+            inclined=discrete.inclined,
             law=discrete.law,
             contact=discrete.contact,
             volumes=replace(discrete.volumes, rows=discrete.volumes.rows @ basis),
@@ -654,8 +633,8 @@ class Guide:
         return z * scales / self.sizes[:n]
 
     def _motions_at_contact(self, discrete: DiscreteProblem, scales: np.ndarray) -> np.ndarray:
-        """Return M (n_dofs, n): the displacements of contact nodes in each motion of the size ``scales``
-        (n,)."""
+        """Return M (n_dofs, n): the free parts of the displacements of contact nodes in each motion of
+        the size ``scales`` (n,)."""
         contact = discrete.contact
         points = cast("np.ndarray", discrete.coordinates)
         moves = np.zeros((discrete.n_nodes, discrete.dim, self.n_motions))
@@ -664,7 +643,7 @@ class Guide:
             arms = points[nodes] - self.controls.rigid[cast("int", part.number)].about
             of_unit = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
             moves[nodes, :, part.indices] = of_unit * scales[part.indices]
-        return moves.reshape(-1, self.n_motions)
+        return np.stack([discrete.free_part(moves[:, :, k]) for k in range(self.n_motions)], axis=1)
 
 
 @dataclass(frozen=True)

@@ -462,35 +462,6 @@ def test_a_punch_on_a_roller_may_be_tilted_by_any_angle(turn):
         assert np.abs(forces[-1] - forces[0]).max() <= E * angle + 1e-8 * np.abs(forces[0]).max()
 
 
-@pytest.mark.parametrize(
-    "turn",
-    [np.eye(3), Rotation.from_euler("xyz", [0.4, 0.9, -0.3]).as_matrix()],
-    ids=["straight", "turned"],
-)
-def test_a_plate_that_drags_over_held_nodes_moves_in_proportion_to_its_force(turn):
-    """A block on rollers along three planes, two of which hold nodes that the plate touches: their
-    friction bears a part of its force. Without a gap all is proportional to the force."""
-    block = am.mesh.structured(am.Box(width=1, depth=0.8, height=0.5), (3, 3, 2))
-    mesh = replace(block, points=block.points @ turn.T)
-    plate = am.Rigid(
-        am.Plane(turn @ [0, 0, 0.5], turn @ [0, 0, -1]), force=turn @ [5e4, 3e4, -1e6], name="plate"
-    )
-    problem = am.ContactProblem(
-        material=am.Solid(young=1e9, poisson=0.3),
-        law=am.Coulomb(0.3),
-        contact=am.Contact("top", plate),
-        supports=[am.Symmetry(name) for name in ("bottom", "left", "front")],
-    )
-    factors = [0.5, 1.0, 1.01]
-    steps = am.solve_path(
-        am.Hierarchy.from_meshes(problem, [mesh]), am.LoadPath({"plate": factors})
-    )
-    motions = np.array([step.motions["plate"][:3] for step in steps]) / np.array(factors)[:, None]
-    np.testing.assert_allclose(
-        motions, np.tile(motions[0], (3, 1)), atol=1e-6 * np.abs(motions).max()
-    )
-
-
 @pytest.mark.parametrize("kind", ["moved", "pressed"])
 def test_no_obstacle_goes_through_what_a_support_holds(kind):
     def obstacle(place, vector):
