@@ -337,7 +337,10 @@ def _on_worker(order: bytes, point: Point, name: str, topic: str) -> Finished:
 
 
 def _kill_worker(dask_worker: Nanny) -> None:
+    """End the worker of a nanny, and the processes that its run has started, which nobody finds
+    afterwards."""
     with contextlib.suppress(psutil.Error):
+        _kill_children(dask_worker.pid)
         psutil.Process(dask_worker.pid).kill()
 
 
