@@ -229,11 +229,15 @@ def _slip_along_held(
 ) -> Linearised:
     r"""Replace the equations, in place, of nodes that slip along a held first tangent, and return
     them all. There the support gives :math:`\tau_1 \ne 0`, and :math:`z = \tau_2/|\tau|`. The friction
-    along the second tangent is :math:`q_2 = (s + \mu q_n)\,z`; with :math:`\partial z/\partial\tau_2 =
-    \tau_1^2/|\tau|^3 = (1 - z^2)/|\tau|` a Newton step has
+    along the second tangent is :math:`q_2 = (s + \mu q_n)\,z`. A Newton step for :math:`|\tau|\,q_2 =
+    (s + \mu q_n)\,\tau_2` (T. F. Chan, G. H. Golub, P. Mulet, SIAM J. Sci. Comput. 20, 1999,
+    doi:10.1137/S1064827596299767) has
 
     .. math:: (A_2 - \mu z A_n + \kappa)\,\delta = q_2 - z\,(s + \mu q_n),\qquad
-              \kappa = (s + \mu p)\,(1 - z^2)/|\tau| .
+              \kappa = (s + \mu p - z\,q_2)/|\tau| ,
+
+    with :math:`q_2` cut to its bound. With the derivative of z, :math:`(1 - z^2)/|\tau|`, three load steps of a
+    punch on rollers with small :math:`\tau_1` take 30, 78 and 45 Newton steps in place of 4, 9 and 8.
 
     Along the first tangent the prescribed change is zero. ``tau`` (n_contact, 2), m, is the slip, and
     ``residual`` (n_contact, 3), N, has q in its columns."""
@@ -246,7 +250,8 @@ def _slip_along_held(
         equations.direction[at] = np.column_stack([np.zeros_like(z), z])
         equations.coupling[at] = mu
         equations.curvature[at] = 0.0
-        equations.curvature[at, 1, 1] = bound * (1 - z**2) / size
+        friction = np.clip(residual[at, 2], -bound, bound)
+        equations.curvature[at, 1, 1] = (bound - z * friction) / size
         equations.force[at, 1] = 0.0
         equations.force[at, 2] = residual[at, 2] - z * (contact.limit[at] + mu * residual[at, 0])
     return equations
