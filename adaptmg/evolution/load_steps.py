@@ -41,6 +41,7 @@ from scipy.sparse.linalg import lsmr
 from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, cut_force, cut_stiffness
+from adaptmg.discrete.supports import Inclined, nodal_matrix
 from adaptmg.grids import Grids
 from adaptmg.level import Level
 from adaptmg.mesh.arrays import MeshArrays, need_mesh
@@ -49,6 +50,7 @@ from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.loads import Preload
 from adaptmg.problem.surfaces import Moving, Rigid, moving_parts, placed
 from adaptmg.smoother.factorisation import factorisable
+from adaptmg.smoother.system import held_stiffness
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
@@ -456,6 +458,7 @@ class Controls:
         parts: Sequence[_Unknowns],
         solve: Solve[Carried],
         posed: Callable[[dict[str, np.ndarray]], Grids],
+        is_repeated: bool,
         limit: float,
         rtol: Callable[[], float],
     ) -> tuple[Result, Carried, dict[str, np.ndarray]]:
@@ -471,24 +474,29 @@ class Controls:
         guide = Guide(self, parts, posed)
         motions = np.concatenate([self.motions[part.name][list(part.free)] for part in parts])
         # from here on over their sizes
-        values = guide.balanced_values(motions / search.sizes)
+        values = motions / search.sizes
         try:
-            has_bolts = len(guide.parts) < len(parts)  # the guide has the obstacles alone
-            if has_bolts:
-                trial = search.run(search.pulled(search.trial_at(values, None, _LOOSE)), None)
-            else:
-                trial = search.run(search.trial_at(values, None, guide.loose), guide)
+            # under the loads of the step before nothing moves
+            trial = search.trial_at(values, None) if is_repeated else None
+            if trial is None or not (trial.result.status.ok and search.reached(trial)):
+                values = guide.balanced_values(values)
+                # the guide has the obstacles alone
+                if len(guide.parts) < len(parts):
+                    trial = search.run(search.pulled(search.trial_at(values, None, _LOOSE)), None)
+                else:
+                    trial = search.run(search.trial_at(values, None, guide.loose), guide)
         except _Exhausted:
             trial = search.last
         result = trial.result
         if result.status.ok and not search.reached(trial):
+            missed = float(np.abs(trial.missed).max())
             _LOG.warning(
                 "forces of %s are missed by %.1e of their size after %d contact problems",
                 ", ".join(part.name for part in parts),
-                np.abs(trial.missed).max(),
+                missed,
                 len(search.spent),
             )
-            result = replace(result, status=Status.LIMIT)
+            result = replace(result, status=Status.LIMIT, missed_forces=missed)
         spent = [*guide.spent, *search.spent]
         timings = {
             name: sum(solved.timings.get(name, 0.0) for solved in spent)
@@ -598,7 +606,8 @@ class Guide:
         F* forces, moments over it: one spring, soft, holds each motion that nothing resists."""
         motions = self.controls.motions_of(self.all_parts, values * self.sizes)
         posed = self.posed(motions)
-        discrete = posed[self.level_number].discrete
+        at_level = posed[self.level_number].discrete
+        discrete = self._with_slips_where_held(at_level)
         n = self.n_motions
         # motions over z, by which all z become lengths: 1 of displacements, 1 over the arm of rotations
         scales = np.concatenate([part.sizes / part.sizes[0] for part in self.parts])
@@ -609,7 +618,7 @@ class Guide:
         moves = np.pad(self._motions_at_contact(discrete, scales), ((0, 0), (0, -n % discrete.dim)))
         padded = moves.shape[1]
         basis = sparse.hstack([sparse.eye_array(discrete.n_dofs), sparse.csr_array(moves)], "csr")
-        soft = _SOFT * np.abs(discrete.matrix.diagonal()).max()
+        soft = _SOFT * np.abs(at_level.matrix.diagonal()).max()
         springs = sparse.diags_array(np.append(np.zeros(discrete.n_dofs), np.full(padded, soft)))
         # (I M)'A (I M), and (b, M'b + F*)
         matrix = basis.T @ sparse.csr_array(discrete.matrix) @ basis + springs
@@ -631,6 +640,46 @@ class Guide:
         self.spent.append(run)
         z = outcome.solution[discrete.n_dofs :][:n]
         return z * scales / self.sizes[:n]
+
+    def _with_slips_where_held(self, discrete: DiscreteProblem) -> DiscreteProblem:
+        r"""Return the problem in which the slips that supports prescribe at the nodes of obstacles are
+        unknowns s, too: along the projections Z onto what is held, friction pulls at springs k in place of
+        supports,
+
+        .. math:: A \to (I - Z)\,A\,(I - Z) + k Z .
+
+        The obstacle then feels this friction, which sticks where the obstacle does not move. As supports
+        bear no other force through k, the results obey the law of :class:`Examiner`. All unknowns count from
+        the prescribed values."""
+        contact = discrete.contact
+        numbers = [cast("int", part.number) for part in self.parts]
+        nodes = contact.nodes[np.isin(contact.boundary, numbers)]
+        spans = discrete.held_spans(nodes)
+        is_held = spans.any(axis=(1, 2))
+        if not is_held.any():
+            return discrete
+        slipping = nodes[is_held]
+        stiffness = held_stiffness(discrete)[np.isin(contact.nodes, slipping)]
+        springs = nodal_matrix(slipping, stiffness[:, None, None] * spans[is_held], discrete.n_dofs)
+        held = nodal_matrix(slipping, spans[is_held], discrete.n_dofs)
+        free = sparse.eye_array(discrete.n_dofs) - held
+        others = ~np.isin(discrete.inclined.nodes, slipping)
+        fixed = discrete.fixed.reshape(-1, discrete.dim).copy()
+        fixed[slipping] &= ~discrete.held.reshape(fixed.shape)[slipping]
+        return discrete.restructured(
+            matrix=sparse.bsr_array(
+                free @ discrete.matrix @ free + springs, blocksize=(discrete.dim, discrete.dim)
+            ),
+            load=discrete.load_from_prescribed(),
+            fixed=fixed.reshape(-1),
+            fixed_values=np.zeros(discrete.n_dofs),
+            inclined=Inclined(discrete.inclined.nodes[others], discrete.inclined.spans[others], {}),
+            contact=replace(
+                contact,
+                slip_reference=contact.slip_reference - discrete.at_contact(discrete.fixed_values),
+            ),
+            volumes=discrete.volumes.from_prescribed(discrete),
+        )
 
     def _motions_at_contact(self, discrete: DiscreteProblem, scales: np.ndarray) -> np.ndarray:
         """Return M (n_dofs, n): the free parts of the displacements of contact nodes in each motion of
@@ -775,9 +824,10 @@ class Search(Generic[Carried]):
         theirs: J has no units."""
         left_vectors, stiffnesses, right_vectors = np.linalg.svd(jacobian)
         # errors of J by differences: the tolerance of their contact problems, _EXACT * reach, over their step,
-        # _DIFFERENCE * reach, with the size ``reach`` of the last changes
+        # _DIFFERENCE * reach, with the size ``reach`` of the last changes. Values above 1, of a single node, are those
+        # of friction where supports hold: they say nothing of other directions
         noise = _EXACT / _DIFFERENCE if by_differences else 0.0
-        resisted = stiffnesses > max(checks.SIX_DIGITS * stiffnesses[0], noise)
+        resisted = stiffnesses > max(checks.SIX_DIGITS * min(1.0, stiffnesses[0]), noise)
         components = left_vectors.T @ missed
         # an unresisted force that is missed by more than a thousandth of its size cannot be met
         if by_differences and np.abs(components[~resisted]).max(initial=0.0) > 1e-3:

@@ -97,6 +97,8 @@ class PathLoop:
         self.continued = False
         #: (n_contact,): length of the slips so far, m, which the law may see
         self.accumulated_slip = finest.discrete.contact.accumulated_slip
+        #: (n_nodes, dim): friction in the last step, N
+        self.friction = np.zeros((finest.n_nodes, finest.discrete.dim))
         #: the solutions of the last two steps, and the factors that led there
         self.recent = [(np.zeros(finest.discrete.n_unknowns), np.zeros(len(self.factors)))]
         if not self.controls.motions:
@@ -133,6 +135,7 @@ class PathLoop:
                 unknowns,
                 lambda motions, near, loose: self._solve(k, motions, near, progress, loose),
                 partial(self._posed, k),
+                factors == self.controls.factors,
                 self._limit,
                 # user-defined solvers may have none: inf limits nothing
                 lambda: getattr(self.step_solver, "rtol", np.inf),
@@ -209,7 +212,9 @@ class PathLoop:
             # Rigid obstacles move until their forces fit, and trial motions may go too far
             if not self.controls.rigid:
                 self._check_held(grids, k, motions)
-            self.examiner = Examiner(grids.finest.discrete, self.bodies)
+            self.examiner = Examiner(
+                grids.finest.discrete, self.bodies, friction_before=self.friction
+            )
             return run, grids, grids.finest.discrete.load_from_prescribed()
 
     def _fix_tolerance(self, rtol: float) -> None:
@@ -350,6 +355,10 @@ class PathLoop:
         # from the result, as a path that goes on from its store has it
         displacement = grids.finest.discrete.relative(result.displacement).reshape(-1)
         self.accumulated_slip = result.contact.accumulated_slip
+        self.friction = np.zeros_like(result.displacement)
+        contact = result.contact
+        tangential = np.einsum("nj,nji->ni", contact.force_t, contact.frames[:, 1:])
+        self.friction[contact.node] = tangential
         solution = np.append(displacement, result.pressures)
         self.recent = [*self.recent[-1:], (solution, self._factor_array(k))]
         self.displacements_before = self.displacements

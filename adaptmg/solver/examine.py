@@ -35,6 +35,7 @@ from adaptmg.smoother.system import (
     SLIP,
     STICK,
     contact_blocks,
+    held_stiffness,
     held_tangents,
     local_contact,
 )
@@ -273,9 +274,11 @@ class Examiner:
         discrete: DiscreteProblem,
         on_mesh: ConditionsOnMesh | None = None,
         certified: bool = True,
+        friction_before: np.ndarray | None = None,
     ) -> None:
         """Prepare for a problem; ``on_mesh`` returns the lines of the certificate that need the mesh. Without
-        ``certified`` there are no certificates."""
+        ``certified`` there are no certificates. ``friction_before`` (n_nodes, dim), N, acted in the step
+        before."""
         self.discrete = discrete
         self.on_mesh = on_mesh
         self.certified = certified
@@ -283,6 +286,7 @@ class Examiner:
         self.held = held_tangents(discrete)
         self.blocks = contact_blocks(discrete)
         self.sizes = Sizes(discrete)
+        self.friction_before = friction_before
         self._last: tuple[np.ndarray, Examined] | None = None
         self._last_residual: tuple[np.ndarray, float] | None = None
 
@@ -375,6 +379,30 @@ class Examiner:
         self._last = solution, examined
         return examined
 
+    def _held_friction(
+        self, slip: np.ndarray, slip_size: np.ndarray, slides: np.ndarray, limit: np.ndarray
+    ) -> np.ndarray:
+        r"""Return the friction (n_contact, dim - 1) at nodes along whose tangents a support gives the slip
+        tau: with the stiffness k of supports
+
+        .. math:: -\min(s + \mu\,p,\ k\,|\tau|)\,\tau / |\tau| ,
+
+        and at nodes that do not slide, a mask (n_contact,), that of the step before, up to its bound
+        ``limit`` (n_contact,). Without k the force on an obstacle would jump where its motion turns
+        round, and the prescribed force lie between."""
+        size = np.minimum(limit, held_stiffness(self.discrete) * slip_size)
+        direction = np.divide(
+            slip, slip_size[:, None], out=np.zeros_like(slip), where=slides[:, None]
+        )
+        friction = -size[:, None] * direction
+        if self.friction_before is None:
+            return friction
+        before = self.friction_before[self.discrete.contact.nodes]
+        before = to_frames(self.frames, before)[:, 1:]
+        size = np.linalg.norm(before, axis=1)
+        share = np.minimum(limit, size) / np.where(size > 0.0, size, 1.0)
+        return np.where(slides[:, None], friction, share[:, None] * before)
+
     def _contact_result(
         self, solved: np.ndarray, residual: np.ndarray, values: np.ndarray
     ) -> ContactResult:
@@ -400,13 +428,13 @@ class Examiner:
         self.contact.follow(values, force)
         limit = self.contact.limit + self.contact.friction * force_n
         state = states(self.contact, values, force_n, negligible_slip)
-        # along a held tangent -(s + mu p) tau/|tau|, zero without slip
         slip_size = np.linalg.norm(slip, axis=1)
         slides_held = held.any(axis=1) & (slip_size > negligible_slip)
-        direction = np.divide(
-            slip, slip_size[:, None], out=np.zeros_like(slip), where=slides_held[:, None]
-        )
-        force_t = np.where(held, -limit[:, None] * direction, -force[:, 1:])
+        force_t = -force[:, 1:]
+        if held.any():
+            force_t = np.where(
+                held, self._held_friction(slip, slip_size, slides_held, limit), force_t
+            )
         # ``values`` are zero along held tangents: ``states`` sees no slip there
         state[slides_held & (state == STICK)] = SLIP
         x = discrete.coordinates

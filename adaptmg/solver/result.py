@@ -98,6 +98,8 @@ class Result(Quantities):
     motions : dict of str to list of float
         By name the displacement, m, and the rotation, rad, of obstacles that a force presses
         (:class:`adaptmg.Rigid`), and the strain that shortens a body (:class:`adaptmg.Preload`).
+    missed_forces : float
+        By how much the forces that move obstacles and preloads miss the prescribed ones, over their size.
     pressures : (n_groups,) array
         Of nearly incompressible bodies with smoothed elements: what the mean volume strains of
         groups of nodes add to the stress, Pa, tension positive (:mod:`adaptmg.discrete.volumes`).
@@ -148,6 +150,7 @@ class Result(Quantities):
     choice: str = ""
     springs: dict[str, list[float]] = field(default_factory=dict)
     motions: dict[str, list[float]] = field(default_factory=dict)
+    missed_forces: float = 0.0
     pressures: np.ndarray = field(default_factory=lambda: np.empty(0))
     time: float = 0.0
     velocity: np.ndarray = field(default_factory=lambda: np.empty(0))
@@ -329,8 +332,8 @@ _OF_ASSEMBLY = {"stiffness", "loads", "measures", "bodies", "stresses"}
 
 def _remedy(result: Result, violated: tuple[str, ...]) -> str:
     """Return the advice for a result that has not converged: for plastic bodies, for forces that the
-    assembled matrices miss, else that of its status; if the active set method has failed, it names
-    another method."""
+    assembled matrices or the motions of obstacles miss, else that of its status; if the active set
+    method has failed, it names another method."""
     if result.stress_data is not None and result.stress_data.plastic is not None:
         return (
             "the plastic bodies may bear no more than a part of this load: give hardening, or prescribe "
@@ -341,6 +344,12 @@ def _remedy(result: Result, violated: tuple[str, ...]) -> str:
             "the method has converged, but forces of the mesh and of the assembled matrices differ, which no "
             "other method changes: print(result.certificate()) shows by how much; look at places where "
             "supports, ties and contact boundaries meet"
+        )
+    if result.status is Status.LIMIT and result.missed_forces:
+        names = ", ".join(map(repr, result.motions))
+        return (
+            f"forces of {names} are missed by {result.missed_forces:.1e} of their size, although each contact "
+            "problem on the way converged: take smaller load steps, or a larger limit"
         )
     advice = result.status.value
     if result.status is Status.DIVERGED and not np.isfinite(result.residual):

@@ -175,6 +175,13 @@ def test_the_limit_of_a_solver_is_that_of_all_contact_problems_of_a_step(limited
     assert result.status is am.Status.LIMIT and limit <= result.cycles < enough
 
 
+def test_a_step_that_misses_its_forces_says_by_how_much():
+    grids = pad(40, force=(-0.15 * PRESS, -PRESS))
+    with pytest.raises(am.NotConverged, match="forces of 'pad' are missed by") as caught:
+        am.solve(grids, am.ActiveSet(max_steps=am.solve(grids, am.ActiveSet()).cycles - 3))
+    assert caught.value.result.missed_forces > 1e-9
+
+
 @pytest.mark.parametrize("solvable", [1, 4])
 def test_motions_are_found_where_guides_are_singular(solvable, monkeypatch):
     """All contact problems with unknown motions but the first ones fail."""
@@ -460,6 +467,67 @@ def test_a_punch_on_a_roller_may_be_tilted_by_any_angle(turn):
         result = am.solve(am.Hierarchy.from_meshes(problem, meshes), am.ActiveSet(rtol=1e-11))
         forces.append(turn.T @ result.resultant("top").force)
         assert np.abs(forces[-1] - forces[0]).max() <= E * angle + 1e-8 * np.abs(forces[0]).max()
+
+
+@pytest.mark.parametrize(
+    "turn",
+    [np.eye(3), Rotation.from_euler("xyz", [0.4, 0.9, -0.3]).as_matrix()],
+    ids=["straight", "turned"],
+)
+def test_a_plate_that_drags_over_held_nodes_moves_in_proportion_to_its_force(turn):
+    """A block on rollers along three planes, two of which hold nodes that the plate touches: their
+    friction bears a part of its force. Without a gap all is proportional to the force."""
+    block = am.mesh.structured(am.Box(width=1, depth=0.8, height=0.5), (3, 3, 2))
+    mesh = replace(block, points=block.points @ turn.T)
+    plate = am.Rigid(
+        am.Plane(turn @ [0, 0, 0.5], turn @ [0, 0, -1]), force=turn @ [5e4, 3e4, -1e6], name="plate"
+    )
+    problem = am.ContactProblem(
+        material=am.Solid(young=1e9, poisson=0.3),
+        law=am.Coulomb(0.3),
+        contact=am.Contact("top", plate),
+        supports=[am.Symmetry(name) for name in ("bottom", "left", "front")],
+    )
+    factors = [0.5, 1.0, 1.01]
+    steps = am.solve_path(
+        am.Hierarchy.from_meshes(problem, [mesh]), am.LoadPath({"plate": factors})
+    )
+    motions = np.array([step.motions["plate"][:3] for step in steps]) / np.array(factors)[:, None]
+    np.testing.assert_allclose(
+        motions, np.tile(motions[0], (3, 1)), atol=1e-6 * np.abs(motions).max()
+    )
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.3, 1.0])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_punch_on_rollers_bears_its_force_also_where_supports_bear_the_friction(dim, friction):
+    """Corner nodes on rollers do not follow the punch. Their friction sticks while the punch stands
+    still, and has any size below its bound while the punch turns round."""
+    force = np.array((5e4, 3e4, -1e6) if dim == 3 else (5e4, -1e6))
+    body = am.Rectangle(width=1, height=0.5)
+    if dim == 3:
+        body = am.Box(width=1, depth=0.8, height=0.5)
+    up = np.eye(dim)[-1]
+    punch = am.Rigid(am.Plane(0.5 * up, -up), force=force, name="punch")
+    problem = am.ContactProblem(
+        material=(am.Solid if dim == 3 else am.PlaneStrain)(young=1e9, poisson=NU),
+        law=am.Coulomb(friction),
+        contact=am.Contact("top", punch),
+        supports=[am.Symmetry(name) for name in ("bottom", "left", "front")[:dim]],
+    )
+    mesh = am.mesh.structured(body, (3, 3, 2) if dim == 3 else (6, 4))
+    factors = (0.5, 1.0, 1.0, 0.9, 0.1, 1.0)
+    grids = am.Hierarchy.from_meshes(problem, [mesh])
+    steps = am.solve_path(grids, am.LoadPath({"punch": factors}))
+    for factor, step in zip(factors, steps, strict=True):
+        missed = step.resultant("top").force - factor * force
+        assert np.abs(missed).max() <= 1e-9 * np.linalg.norm(factor * force)
+        bound = friction * step.contact.force_n
+        assert (np.linalg.norm(step.contact.force_t, axis=1) <= (1 + 1e-8) * bound).all()
+    half, whole, again, *_ = steps
+    np.testing.assert_allclose(whole.displacement, 2 * half.displacement, atol=1e-12)
+    assert again.cycles == 0 and again.motions == whole.motions
+    assert sum(step.cycles for step in steps) <= 100
 
 
 @pytest.mark.parametrize("kind", ["moved", "pressed"])
