@@ -206,11 +206,10 @@ class InelasticBodies:
         stress = data.tensors(self.posed.mesh, physical)
         stress[inelastic] = as_tensors(self._of_elements(response.stress)[inelastic])
         # groups of nodes bear the rest of the pressure, kappa times their mean volume strain b u
-        if len(self.groups):
-            pressures = self.groups.strains(physical.reshape(-1)) / self.groups.compliance
-            stress[inelastic] += self.groups.of_elements(pressures)[inelastic, None, None] * np.eye(
-                3
-            )
+        pressures = self.groups.strains(physical.reshape(-1)) / self.groups.compliance
+        of_elements = self.groups.of_elements(pressures)
+        if of_elements is not None:
+            stress[inelastic] += of_elements[inelastic, None, None] * np.eye(3)
         # the place of the last number of each state: of Plastic the accumulated plastic strain, a zero of materials
         # without a state
         last = np.zeros((len(self.numbers), 1), dtype=np.int64)

@@ -340,8 +340,9 @@ def _kill_worker(dask_worker: Nanny) -> None:
     """End the worker of a nanny, and the processes that its run has started, which nobody finds
     afterwards."""
     with contextlib.suppress(psutil.Error):
-        _kill_children(dask_worker.pid)
-        psutil.Process(dask_worker.pid).kill()
+        process = psutil.Process(dask_worker.pid)
+        _kill_children(process.pid)
+        process.kill()
 
 
 @dataclass(eq=False)
