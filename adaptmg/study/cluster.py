@@ -339,10 +339,12 @@ def _on_worker(order: bytes, point: Point, name: str, topic: str) -> Finished:
 def _kill_worker(dask_worker: Nanny) -> None:
     """End the worker of a nanny, and the processes that its run has started, which nobody finds
     afterwards."""
+    pid = dask_worker.pid
+    if pid is None:  # no worker is left, and psutil takes None for this process
+        return
     with contextlib.suppress(psutil.Error):
-        process = psutil.Process(dask_worker.pid)
-        _kill_children(process.pid)
-        process.kill()
+        _kill_children(pid)
+        psutil.Process(pid).kill()
 
 
 @dataclass(eq=False)
