@@ -289,7 +289,7 @@ class _Fields:
     gradient: np.ndarray  # (n_elements, 2, 2): of the displacement without free expansion
     stress: np.ndarray  # (n_elements, 2, 2)
     uneven: np.ndarray  # (n_elements, 2, 2): free strain beyond that at the tip
-    forces: np.ndarray  # (n_nodes, 2): in the body
+    forces: np.ndarray  # (n_nodes, 2): in the body; 0 at the nodes of the faces, and so at the tip
     fit: np.ndarray  # (3, 2): tractions on the left face by powers of r
     lame: float  # Lame's constants at the tip, Pa
     shear: float
@@ -309,6 +309,7 @@ class _Fields:
         # the gradient of q, in the axes of the tip, as that of a component of a displacement
         slopes = displacement_gradient(mesh, np.column_stack([q, q]))[inside, 0] @ tip.axes.T
         # the integrals over the elements where q does not vanish
+        # the largest degree there is: the fields of the tip are no polynomials
         rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
         z = tip.local(quadrature_points(mesh.points, mesh.elements[inside], rule))
         gradient = self.gradient[inside]

@@ -211,8 +211,8 @@ class TruncatedContact:
         )
 
     def start(self, unknowns: np.ndarray) -> None:
-        """Project unknowns (n_dofs,) that may penetrate onto the admissible ones, in place, and take
-        over their values. Compliant surfaces admit all."""
+        """Project unknowns (n_dofs,) that may penetrate onto the admissible ones, in place, and store their
+        local components. Springs admit all."""
         normal_displacement = self.normal_components(unknowns)
         if self.layer is not None:
             self._follow_layer(self.layer, np.zeros_like(normal_displacement), normal_displacement)

@@ -107,8 +107,8 @@ class LoadPath:
         for name in self.factors:
             alike = [acting for acting in _acting(problem) if name in acting.path_names]
             if len(alike) > 1 and not all(acting.name for acting in alike):
-                kinds = " and a ".join(type(acting).__name__ for acting in alike)
-                raise ValueError(f"path names {name!r}, where a {kinds} act: give each a name=")
+                kinds = " and ".join(type(acting).__name__ for acting in alike)
+                raise ValueError(f"path names {name!r}, where {kinds} act: give each a name=")
         return {name: self.of(name) for name in names}
 
 

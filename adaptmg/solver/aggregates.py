@@ -210,6 +210,7 @@ class Aggregates:
         self.offsets = np.empty((n, dim))  # from the centre, over the extent; see _place
         flat_points = read_only(points[:, :dim].reshape(-1))
         _place(ZERO[dim], flat_points, label, self.count, self.offsets.reshape(-1))
+        #: ``width``: the largest distance of coupled aggregates in the order, and 1
         place, self.width = _narrow_order(rows, label, self.count)
         #: (n_nodes,): places of aggregates in this order, -1 at wholly fixed nodes: a label of -1 takes
         #: the last entry
@@ -416,8 +417,8 @@ class CoarseCorrection:
         nodes: np.ndarray,
         stiffening: np.ndarray,
     ) -> None:
-        """Factorise the coarse matrix, of motions that ``projections`` (n, dim, dim), symmetric,
-        project at the held nodes (n,), with blocks ``stiffening`` at ``nodes``."""
+        """Factorise the coarse matrix, of motions that ``projections`` (n_held, dim, dim), symmetric,
+        project at the held nodes (n_held,), with blocks ``stiffening`` (n, dim, dim) at ``nodes`` (n,)."""
         dim = projections.shape[1]
         modes = dim * (dim + 1) // 2
         held = np.full(len(aggregates.label), -1, dtype=np.int32)
@@ -429,7 +430,8 @@ class CoarseCorrection:
             projections.reshape(-1),
             ZERO[dim],
         )
-        # the band, and columns for the blocks of aggregates with themselves; see _fill
+        # the band, which ends before the last columns: these are for the blocks of aggregates with themselves,
+        # by halves; see _fill
         width = modes * (aggregates.width + 1)
         band = np.zeros((modes * aggregates.count, width))
         parts = [rows]

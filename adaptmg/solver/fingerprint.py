@@ -301,8 +301,8 @@ class _Parts:
 
     def _add_chains(self, name: str, function: FunctionType, chains: list[tuple[str, ...]]) -> None:
         """Add the globals and the variables of enclosing functions that a function reads, each first in
-        a chain with the attributes that are taken from it; TypeError if a chain holds a hidden name. In
-        chains of attributes alone the first name is empty."""
+        a chain with the attributes that are taken from it: ("np", "linalg", "norm"). TypeError if a
+        chain holds a hidden name. In chains of attributes alone the first name is empty."""
         namespace = function.__globals__
         home = self._home(namespace.get("__name__", "__main__"))
         enclosing: dict[str, object] = {}
@@ -312,8 +312,9 @@ class _Parts:
             with contextlib.suppress(ValueError):  # not set
                 enclosing[variable] = cell.cell_contents
         for first, *attributes in chains:
-            # a global of the user may have one of the hidden names
-            names = attributes if first in namespace else (first, *attributes)
+            # a variable of the user may have one of the hidden names
+            is_own = first in enclosing or first in namespace
+            names = attributes if is_own else (first, *attributes)
             hidden = _HIDDEN.intersection(names) - set(self._depends)
             if hidden:
                 raise TypeError(
@@ -322,7 +323,7 @@ class _Parts:
                 )
             if first in enclosing:
                 self._add_variable(f"{first} around {name}", enclosing[first], attributes)
-            elif first in namespace:
+            elif first in namespace:  # what is left are functions of Python, as ``len``
                 self._add_variable(f"{home}.{first}", namespace[first], attributes)
 
     def _add_import(self, module: str, names: tuple[str, ...] | None) -> None:

@@ -157,7 +157,7 @@ class _Body:
         inside = [
             (f"body {name!r}", nodes)
             for name, nodes in bodies.items()
-            if np.isin(nodes[0], self.nodes)
+            if np.isin(nodes[:1], self.nodes).any()  # bodies without nodes lie in none
         ]
         if inside and (self.several or len(inside) > 1):
             return inside
@@ -227,8 +227,9 @@ def _free_motions(
     # the modes of all bodies, restricted to one, are dependent: their Gram matrix gives an orthogonal
     # basis, of length sqrt(n_nodes), so that nodes move by about 1
     gram_values, gram_vectors = np.linalg.eigh(modes.T @ modes)
-    independent = gram_values > 1e-12 * gram_values[-1]
-    if not independent.any():
+    # squares of lengths: their roots differ by six digits
+    independent = gram_values > checks.SIX_DIGITS**2 * gram_values[-1]
+    if not independent.any():  # no mode moves this part
         return modes[:, :0]
     basis = gram_vectors[:, independent] * np.sqrt(len(nodes) / gram_values[independent])
     modes = modes @ basis
@@ -236,6 +237,7 @@ def _free_motions(
     strained = np.linalg.norm(forces, axis=1) > _SOFTEST
     # springs far softer than the body hold it too: forces count over the largest one
     scale = np.abs(forces).max(initial=0.0) if strained.any() else 1.0
+    # the entries of both kinds of rows are about 1 at most
     of_supports = held[dofs] @ basis
     rows = np.vstack([of_supports[of_supports.any(axis=1)], forces[strained] / scale])
     return modes @ orthonormal_null_combinations(rows, checks.SIX_DIGITS).T

@@ -276,7 +276,7 @@ def test_bad_factors_and_unknown_or_ambiguous_names_are_refused(rough):
     )
     part = replace(am.cases.greco_bar(), domain=None, loads=loads)
     with pytest.raises(
-        ValueError, match=r"'part', where a Pressure and a InitialStrain act: give each a name="
+        ValueError, match=r"'part', where Pressure and InitialStrain act: give each a name="
     ):
         am.LoadPath({"part": 1.0}).resolved(part)
     assert set(am.LoadPath({"weight": [1, 2]}, default=[3, 4]).resolved(part)) == {
@@ -285,7 +285,7 @@ def test_bad_factors_and_unknown_or_ambiguous_names_are_refused(rough):
     }
     # a name of one load that is the place of another
     for one in (am.Traction("top", (1.0, 0.0)), am.BodyForce((0.0, 1.0), name="top")):
-        with pytest.raises(ValueError, match=r"'top', where a Pressure and a .* act: give each"):
+        with pytest.raises(ValueError, match=r"'top', where Pressure and .* act: give each"):
             am.LoadPath({"top": [1, 2]}).resolved(
                 replace(part, loads=(am.Pressure("top", 1.0), one))
             )

@@ -258,6 +258,13 @@ def test_springs_hold():
         check_statics(replace(problem, matrix=problem.matrix + sparse.diags_array(springs)))
 
 
+def test_a_body_without_nodes_does_not_hide_what_is_free():
+    problem = plate(law=am.Frictionless(), loads=TIPPING)
+    bodies = {"plate": np.arange(problem.n_nodes), "none": []}
+    with pytest.raises(ValueError, match="nothing holds"):
+        check_statics(replace(problem, bodies=bodies))
+
+
 def next_to(one, matrix, load, points):
     """Return a problem with further nodes, of this matrix and load, that nothing fixes."""
     return am.DiscreteProblem(

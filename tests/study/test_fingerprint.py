@@ -200,6 +200,15 @@ def test_the_remedy_for_what_is_refused_works(made):
     assert study.run(progress=False)["m"].tolist() == [1]
 
 
+def scaled_by(modules):
+    return lambda n: {"m": n * modules}
+
+
+def test_a_variable_may_have_the_name_of_what_is_hidden():
+    two, three = (fingerprint(scaled_by(factor)).code for factor in (2.0, 3.0))
+    assert two != three
+
+
 class Holder:
     def __init__(self, held):
         self.held = held
