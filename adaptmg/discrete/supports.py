@@ -383,7 +383,10 @@ class Boundaries:
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Return vectors (n, dim) at some nodes without their parts along directions that supports
         hold."""
-        return vectors - np.einsum("nij,nj->ni", self.held_spans(nodes), vectors)
+        result = np.where(self.fixed[nodes], 0.0, vectors)
+        if len(self.inclined):  # with no nodes 15 us, 9 times in a solve with four levels
+            result -= np.einsum("nij,nj->ni", self.inclined.at(nodes), vectors)
+        return result
 
     def averaged_normals(self, surface: Surface) -> np.ndarray:
         """Return the averaged normals (n_nodes, dim) of a surface, without components along what

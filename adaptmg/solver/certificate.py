@@ -30,6 +30,7 @@ from adaptmg.discrete.block_rows import BlockRows
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.discrete.volumes import NO_PRESSURES
+from adaptmg.mesh.arrays import mask_of
 from adaptmg.solver.aggregates import (
     Aggregates,
     ContactValues,
@@ -887,7 +888,9 @@ def any_component(vectors: np.ndarray) -> np.ndarray:
 def _held_elsewhere(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     """Return the nodes (m,) off the contact boundaries that supports or ties hold, and projections
     (m, dim, dim) onto their free directions."""
-    nodes = np.setdiff1d(problem.fixed_nodes(), problem.contact.nodes, assume_unique=True)
+    held = mask_of(problem.fixed_nodes(), problem.n_nodes)
+    held[problem.contact.nodes] = False
+    nodes = np.flatnonzero(held)
     return nodes, problem.free_spans(nodes)
 
 
