@@ -500,7 +500,11 @@ def _rows_of_matrix(problem: DiscreteProblem) -> BlockRows:
 @remembered_of_structure
 def _decoupled_rows(problem: DiscreteProblem) -> BlockRows:
     """Return the rows with the directions of inclined supports decoupled."""
-    return BlockRows.of(problem.inclined.decoupled(problem.matrix))
+    inclined = problem.inclined
+    # D, of the size of the diagonal blocks
+    diagonal = np.abs(problem.matrix.diagonal()).reshape(-1, problem.dim)
+    stiffness = diagonal[inclined.nodes].mean(axis=1)
+    return BlockRows.of(inclined.decoupled(problem.matrix, stiffness))
 
 
 def _check_row_sums(weights: sparse.csr_array) -> None:

@@ -61,7 +61,7 @@ class Inclined:
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Return the projections (n, dim, dim) at some nodes, zero where no direction is held."""
         result = np.zeros((len(nodes), *self.spans.shape[1:]))
-        if len(self):  # 25 us with no nodes, 16 times in a solve with four levels
+        if len(self):  # 10 us with no nodes, 16 times in a solve with four levels
             inclined = np.flatnonzero(np.isin(nodes, self.nodes))
             result[inclined] = self.spans[np.searchsorted(self.nodes, nodes[inclined])]
         return result
@@ -77,14 +77,11 @@ class Inclined:
             "nij,nj->ni", self.spans, vector.reshape(-1, self.spans.shape[1])[self.nodes]
         )
 
-    def decoupled(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
-        """Return A' of a matrix A (n_dofs, n_dofs)."""
+    def decoupled(self, matrix: sparse.bsr_array, stiffness: np.ndarray) -> sparse.bsr_array:
+        """Return A' of a matrix A (n_dofs, n_dofs), with the ``stiffness`` (k,), N/m, of the nodes in D."""
         size = matrix.blocksize
         n = matrix.shape[0]
-        # D, of the size of the diagonal blocks
-        diagonal = np.abs(matrix.diagonal()).reshape(-1, size[0])
-        stiffness = diagonal[self.nodes].mean(axis=1)[:, None, None]
-        held_stiffness = nodal_matrix(self.nodes, stiffness * self.spans, n)
+        held_stiffness = nodal_matrix(self.nodes, stiffness[:, None, None] * self.spans, n)
         held = nodal_matrix(self.nodes, self.spans, n)
         free = sparse.bsr_array(sparse.eye_array(n) - held, blocksize=size)
         # half of A'; its sum with its transpose is symmetric to the bit
@@ -384,7 +381,7 @@ class Boundaries:
         """Return vectors (n, dim) at some nodes without their parts along directions that supports
         hold."""
         result = np.where(self.fixed[nodes], 0.0, vectors)
-        if len(self.inclined):  # with no nodes 15 us, 9 times in a solve with four levels
+        if len(self.inclined):  # 5 us with no nodes, 9 times in a solve with four levels
             result -= np.einsum("nij,nj->ni", self.inclined.at(nodes), vectors)
         return result
 

@@ -515,7 +515,7 @@ class SizeField:
 
 def mean_sizes(coarse: MeshArrays, fine: MeshArrays, growth: float) -> SizeField:
     """Return the geometric mean of the sizes of two meshes, at the nodes of the fine one, graded; at a
-    node that bodies share with the coarse size of the last of them."""
+    node that bodies share, with the coarse size of the last of them."""
     of_coarse = SizeField(coarse, nodal_sizes(coarse, simplex_sizes(coarse)))
     of_fine = nodal_sizes(fine, simplex_sizes(fine))
     sizes = np.empty(fine.n_nodes)

@@ -41,7 +41,7 @@ from scipy.sparse.linalg import lsmr
 from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, cut_force, cut_stiffness
-from adaptmg.discrete.supports import Inclined, nodal_matrix
+from adaptmg.discrete.supports import Inclined
 from adaptmg.grids import Grids
 from adaptmg.level import Level
 from adaptmg.mesh.arrays import MeshArrays, need_mesh
@@ -660,16 +660,12 @@ class Guide:
             return discrete
         slipping = nodes[is_held]
         stiffness = held_stiffness(discrete)[np.isin(contact.nodes, slipping)]
-        springs = nodal_matrix(slipping, stiffness[:, None, None] * spans[is_held], discrete.n_dofs)
-        held = nodal_matrix(slipping, spans[is_held], discrete.n_dofs)
-        free = sparse.eye_array(discrete.n_dofs) - held
+        springs = Inclined(slipping, spans[is_held], {})
         others = ~np.isin(discrete.inclined.nodes, slipping)
         fixed = discrete.fixed.reshape(-1, discrete.dim).copy()
         fixed[slipping] &= ~discrete.held.reshape(fixed.shape)[slipping]
         return discrete.restructured(
-            matrix=sparse.bsr_array(
-                free @ discrete.matrix @ free + springs, blocksize=(discrete.dim, discrete.dim)
-            ),
+            matrix=springs.decoupled(discrete.matrix, stiffness),
             load=discrete.load_from_prescribed(),
             fixed=fixed.reshape(-1),
             fixed_values=np.zeros(discrete.n_dofs),

@@ -273,7 +273,7 @@ def test_a_punch_without_other_loads_slides_on_a_layer(layer):
         law=am.Coulomb(0.3),
         supports=[am.Support("bottom", x=0, y=0)],
     )
-    grids = am.Hierarchy.graded(problem, sizes=(8e-3, 4e-3), contact_ratio=8)
+    grids = am.Hierarchy.graded(problem, sizes=(8e-3, 4e-3, 2e-3), contact_ratio=8)
     path = am.LoadPath({"punch": [0.1, 1, 1], "slide": [0, 0, 1]})
     forces = [
         am.solve_path(grids, path, method)[-1].resultant("top").force for method in METHODS[:2]
