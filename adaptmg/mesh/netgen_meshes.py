@@ -186,9 +186,7 @@ def _plane_draft(
             volume,
             size,
             sum(lengths[name] for name in sides),
-            min(
-                sides.values(), default=1.0
-            ),  # without sides, whose lengths are 0 then, of no effect
+            min(sides.values(), default=1.0),  # 1: of no effect, as lengths are 0 without sides
             grading,
         ),
         domain,

@@ -162,8 +162,8 @@ def _first_triangles(
         if domain.twins:
             places, facets = _joined(places, facets)
         elements, across, present = of_boundary((places - middle) / scale, facets)
-        # the two faces of a crack stand for one facet; what lies on both sides of an edge of the boundary is no
-        # neighbour already, so that opening changes corners alone. Between two tips a crack stays closed
+        # triangles on both sides of a crack are not neighbours already, as an edge of the boundary lies between
+        # them: opening changes corners alone. A facet whose nodes are both tips stays closed
         if present.all() and domain.twins:
             elements, facets, is_open, origin = opened(elements, facets, len(places))
             return places[origin], facets[is_open], labels[is_open], elements, across

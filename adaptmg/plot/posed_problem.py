@@ -83,7 +83,7 @@ def problem(
     posed.check_boundaries(mesh.boundaries)
     lower, upper, _ = style.bounds(mesh.points)
     width, height = (upper - lower)[:2] / np.max(upper - lower)
-    # inches: 4.4 along the longer side, 3.9 beside it for the legend, 1.4 for title and labels
+    # inches: 4.4 along the longer side, 3.9 next to it for the legend, 1.4 for title and labels
     size = (8.4, 5.6) if posed.dim == 3 else (4.4 * width + 3.9, 4.4 * height + 1.4)
     ax = style.canvas(ax, size, posed.dim)
     _draw(posed, mesh, ax)

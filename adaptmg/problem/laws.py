@@ -310,7 +310,7 @@ class Axisymmetric(_Plane):
     """A body of revolution without torsion: x is the radius r >= 0, y the axial coordinate z.
 
     All forces are those over the full circumference, N: integrals are weighted with 2 pi r. A
-    support holds the axis, ``am.Support("axis", x=0)``: free, it opened by .03 to 2 % of the largest
+    support has to hold the axis, ``am.Support("axis", x=0)``: free, it opened by .03 to 2 % of the largest
     displacement with 32 to 8 elements along the radius.
 
     Examples

@@ -968,8 +968,7 @@ def test_a_turned_state_has_the_same_residual_and_reactions(dim, seed):
     unit = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
     mesh = am.mesh.structured(unit, 3)
     displacement = 1e-4 * rng.standard_normal(mesh.points.shape)
-    turn = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
-    turn[0] *= np.linalg.det(turn)
+    turn = random_turn(rng, dim)
     examined = []
     for axes in (np.eye(dim), turn):
         problem = am.ContactProblem(
