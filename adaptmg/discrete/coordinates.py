@@ -388,7 +388,6 @@ class Unknowns:
         """Return the inverse of :meth:`from_prescribed` of a flat ``change``."""
         result = change.copy()
         unknowns, _ = self.parts(result)
-        self.inclined.remove_held(unknowns)  # corrections may have such parts
         unknowns += self.fixed_values
         return result
 
