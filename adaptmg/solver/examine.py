@@ -382,14 +382,15 @@ class Examiner:
     def _held_friction(
         self, slip: np.ndarray, slip_size: np.ndarray, slides: np.ndarray, limit: np.ndarray
     ) -> np.ndarray:
-        r"""Return the friction (n_contact, dim - 1) at nodes along whose tangents a support gives the slip
-        tau: with the stiffness k of supports
+        r"""Return the friction (n_contact, dim - 1), N, along tangents where a support or an obstacle
+        prescribes the ``slip`` tau, m, of length ``slip_size`` (n_contact,). With the bound ``limit`` s + mu p
+        (n_contact,), N, and the stiffness k of supports it is
 
-        .. math:: -\min(s + \mu\,p,\ k\,|\tau|)\,\tau / |\tau| ,
+        .. math:: -\min(s + \mu\,p,\ k\,|\tau|)\,\tau / |\tau|
 
-        and at nodes that do not slide, a mask (n_contact,), that of the step before, up to its bound
-        ``limit`` (n_contact,). Without k the force on an obstacle would jump where its motion turns
-        round, and the prescribed force lie between."""
+        at the nodes of the mask ``slides`` (n_contact,), and elsewhere that of the step before, up to its
+        bound. Without k the force on an obstacle would jump where its motion turns round: prescribed
+        forces between both values would have no motion."""
         size = np.minimum(limit, held_stiffness(self.discrete) * slip_size)
         direction = np.divide(
             slip, slip_size[:, None], out=np.zeros_like(slip), where=slides[:, None]
@@ -399,8 +400,8 @@ class Examiner:
             return friction
         before = self.friction_before[self.discrete.contact.nodes]
         before = to_frames(self.frames, before)[:, 1:]
-        size = np.linalg.norm(before, axis=1)
-        share = np.minimum(limit, size) / np.where(size > 0.0, size, 1.0)
+        size_before = np.linalg.norm(before, axis=1)
+        share = np.minimum(limit, size_before) / np.where(size_before > 0.0, size_before, 1.0)
         return np.where(slides[:, None], friction, share[:, None] * before)
 
     def _contact_result(
